@@ -69,7 +69,7 @@ def add_options(parser: console.Parser) -> None:
 
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
-    from eldata.evaluation.comparison import Method, compare, format_comparison
+    from eldata.evaluation.comparison import compare, format_comparison
     from eldata.evaluation.results import load_result
 
     if arguments.pictures and not arguments.html:
@@ -78,7 +78,10 @@ def run(arguments: console.Arguments) -> int:
     names = arguments.names or [path.stem for path in paths]
     if len(names) != len(paths):
         raise ArgumentError(f"expected one --name per file, or none; found {len(names)} for {len(paths)} files")
-    comparison = compare([Method(name, load_result(path)) for name, path in zip(names, paths, strict=True)])
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ArgumentError(f"two results are called {twice!r}; name each with --name, in the order of the files")
+    comparison = compare({name: load_result(path) for name, path in zip(names, paths, strict=True)})
 
     def told() -> str:
         for warning in comparison.warnings:
@@ -108,14 +111,14 @@ def _images(comparison: Comparison, arguments: console.Arguments) -> tuple[Score
     from eldata.evaluation.looking import images_of, stated_predictions, units_again
 
     named: list[Path | None] = [Path(name) for name in arguments.predictions]
-    folders = named or [stated_predictions(result) for result in comparison.results]
+    folders = named or [stated_predictions(result) for result in comparison.results.values()]
     folder, units = units_again(
-        comparison.results[0],
+        comparison.first,
         manifest=arguments.manifest and Path(arguments.manifest),
         root=arguments.root and Path(arguments.root),
     )
     return images_of(
-        comparison.results,
+        list(comparison.results.values()),
         comparison.images,
         dataset_folder=folder,
         predictions=folders,

@@ -231,7 +231,7 @@ def _with_pictures(comparison: Comparison, arguments: console.Arguments) -> str:
     return " ".join(
         [
             "eldata compare",
-            *(shlex.quote(str(out / f"{method.name}.json")) for method in comparison.methods),
+            *(shlex.quote(str(out / f"{name}.json")) for name in comparison.names),
             *(f"--{name.replace('_', '-')} {shlex.quote(value)}" for name, value in options.items() if value),
             f"--html {shlex.quote(str(out / 'pictures.html'))} --pictures",
         ]

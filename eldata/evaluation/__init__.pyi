@@ -1,5 +1,4 @@
 from .comparison import Comparison as Comparison
-from .comparison import Method as Method
 from .comparison import compare as compare
 from .evaluate import evaluate as evaluate
 from .evaluate import scored_pairs as scored_pairs

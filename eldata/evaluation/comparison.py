@@ -62,14 +62,6 @@ LABELS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Method:
-    """A method by its name in tables, and its result."""
-
-    name: str
-    result: EvaluationResult
-
-
-@dataclass(frozen=True, slots=True)
 class Group:
     """Common images of a camera and factor; ``None`` spans all of them.
 
@@ -123,8 +115,8 @@ class Comparison:
 
     Attributes
     ----------
-    methods
-        The first is what the others are held against.
+    results
+        Of each method, by its name; the others are compared with the first.
     images
         Scores of each common image by each method, in the first's order.
     groups
@@ -135,26 +127,31 @@ class Comparison:
         Each method against each other, of three or more.
     """
 
-    methods: tuple[Method, ...]
+    results: dict[str, EvaluationResult]
     images: tuple[tuple[UnitScore, ...], ...]
     groups: tuple[Group, ...]
     warnings: tuple[str, ...]
     contests: tuple[Contest, ...] = ()
 
     @property
-    def results(self) -> tuple[EvaluationResult, ...]:
-        """The result of each method."""
-        return tuple(method.result for method in self.methods)
+    def names(self) -> tuple[str, ...]:
+        """The methods' names."""
+        return tuple(self.results)
+
+    @property
+    def first(self) -> EvaluationResult:
+        """The result of the first method."""
+        return self.results[self.names[0]]
 
     @property
     def kind(self) -> Kind:
         """Images or clips, with the metrics that every method has."""
-        return _common_kind(self.methods)
+        return _common_kind(list(self.results.values()))
 
     @property
     def scenes_shared(self) -> bool:
         """Whether scenes of one name under several cameras are one scene, as the first's set has it."""
-        return self.methods[0].result.scenes_shared
+        return self.first.scenes_shared
 
     @property
     def whole(self) -> Group:
@@ -205,10 +202,10 @@ class Comparison:
         from eldata.plots.axes import drawn_into, nothing_to_draw
         from eldata.plots.scores import mean_gains
 
-        chosen, (first, *others) = self.kind.metric(metric), self.methods
+        chosen, (first, *others) = self.kind.metric(metric), self.names
         gains = [
-            (method.name, [group.gains[index][chosen.name].interval.ends for group in self.groups])
-            for index, method in enumerate(others)
+            (name, [group.gains[index][chosen.name].interval.ends for group in self.groups])
+            for index, name in enumerate(others)
         ]
         if not any(math.isfinite(mean) for _, ends in gains for mean, _, _ in ends):
             raise nothing_to_draw(f"{metric} of this comparison", "no difference is finite")
@@ -217,35 +214,34 @@ class Comparison:
             mean_gains(axes, [group.name for group in self.groups], gains, theme)
             axes.set_xlabel(f"difference of {chosen.heading}")
 
-        named = others[0].name if len(others) == 1 else f"{len(others)} methods"
-        return drawn_into(ax, f"{named} against {first.name}", draw)
+        named = others[0] if len(others) == 1 else f"{len(others)} methods"
+        return drawn_into(ax, f"{named} against {first}", draw)
 
     def __repr__(self) -> str:
         psnr = self.kind.metric("psnr_db")
         texts = [
-            f"{method.name} {psnr.format(means[psnr.name])}"
-            for method, means in zip(self.methods, self.whole.means, strict=True)
+            f"{name} {psnr.format(means[psnr.name])}" for name, means in zip(self.names, self.whole.means, strict=True)
         ]
         warned = f"; {counted(len(self.warnings), 'warning')}" if self.warnings else ""
         return f"Comparison({len(self.images)} common {self.kind.units}; PSNR {in_line(', '.join(texts))}{warned})"
 
     def _repr_html_(self) -> str:
         means = means_table(self)
-        heading = f"{len(self.methods)} methods on {len(self.images)} common {self.kind.units}"
+        heading = f"{len(self.names)} methods on {len(self.images)} common {self.kind.units}"
         return block(heading, table(means.header, means.rows, means.left), notes=self.warnings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON types."""
-        result = {
+        values = {
             "methods": [
                 {
-                    "name": method.name,
-                    "file": method.result.source,
-                    "scored": method.result.scored,
-                    "protocol": method.result.protocol.as_dict(),
-                    "provenance": method.result.provenance,
+                    "name": name,
+                    "file": result.source,
+                    "scored": result.scored,
+                    "protocol": result.protocol.as_dict(),
+                    "provenance": result.provenance,
                 }
-                for method in self.methods
+                for name, result in self.results.items()
             ],
             "warnings": list(self.warnings),
             "statistics": {
@@ -258,48 +254,50 @@ class Comparison:
             "groups": [asdict(group) for group in self.groups],
             "contests": [asdict(contest) for contest in self.contests],
         }
-        return json_object(result)
+        return json_object(values)
 
 
-def compare(methods: Sequence[Method]) -> Comparison:
+def compare(results: Mapping[str, EvaluationResult]) -> Comparison:
     """Compare methods with the first on their common images or clips.
+
+    Parameters
+    ----------
+    results
+        Of each method, by its name, as :func:`~eldata.evaluation.evaluate_methods` returns them.
 
     Raises
     ------
     ArgumentError
-        If there are fewer than two methods, two of one name, or results of images and of clips.
+        If there are fewer than two methods, or results of images and of clips.
     EldataError
         If no image is common to all.
     """
-    if len(methods) < 2:
-        raise ArgumentError(f"a comparison needs two results or more; found {len(methods)}")
-    first, *others = methods
-    names = [method.name for method in methods]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise ArgumentError(f"two results are called {twice!r}; name each with --name, in the order of the files")
-    kind, units = _common_kind(methods), first.result.kind.units
-    for other in others:
-        if (theirs := other.result.kind.units) != units:
-            raise ArgumentError(f"{first.name} has scores of {units}, {other.name} of {theirs}; these do not compare")
-    scores = [{score.path: score for score in method.result.scores} for method in methods]
+    if len(results) < 2:
+        raise ArgumentError(f"a comparison needs two results or more; found {len(results)}")
+    (name, first), *others = results.items()
+    units = first.kind.units
+    for other, result in others:
+        if (theirs := result.kind.units) != units:
+            raise ArgumentError(f"{name} has scores of {units}, {other} of {theirs}; these do not compare")
+    kind = _common_kind(list(results.values()))
+    scores = [{score.path: score for score in result.scores} for result in results.values()]
     common = [path for path in scores[0] if all(path in of for of in scores)]
     if not common:
-        kinds = ", ".join(f"{method.name}: {method.result.scored} of {method.result.dataset}" for method in methods)
-        raise EldataError(f"no {kind.unit} is common to the results ({kinds}); compare results on the same dataset")
+        counts = ", ".join(f"{name}: {result.scored} of {result.dataset}" for name, result in results.items())
+        raise EldataError(f"no {kind.unit} is common to the results ({counts}); compare results on the same dataset")
     images = tuple(tuple(of[path] for of in scores) for path in common)
     return Comparison(
-        methods=tuple(methods),
+        results=dict(results),
         images=images,
-        groups=_groups(images, kind.metrics, first.result),
-        warnings=_warnings(methods, images),
-        contests=_contests(methods, images, kind.metrics) if len(methods) > 2 else (),
+        groups=_groups(images, kind.metrics, first),
+        warnings=_warnings(results, len(images)),
+        contests=_contests(results, images, kind.metrics) if len(results) > 2 else (),
     )
 
 
-def _common_kind(methods: Sequence[Method]) -> Kind:
+def _common_kind(results: Sequence[EvaluationResult]) -> Kind:
     """Return the kind of the first with the columns that all have; a task of another label or direction is another."""
-    first, *others = (method.result.kind for method in methods)
+    first, *others = (result.kind for result in results)
     return replace(first, metrics=tuple(one for one in first.metrics if all(one in other.metrics for other in others)))
 
 
@@ -325,10 +323,13 @@ def _groups(images: Images, metrics: Sequence[numbers.Figure], result: Evaluatio
     return tuple(groups)
 
 
-def _contests(methods: Sequence[Method], images: Images, metrics: Sequence[numbers.Figure]) -> tuple[Contest, ...]:
+def _contests(
+    results: Mapping[str, EvaluationResult], images: Images, metrics: Sequence[numbers.Figure]
+) -> tuple[Contest, ...]:
     names = [metric.name for metric in metrics]
-    places = clusters_of((scores[0] for scores in images), scenes_shared=methods[0].result.scenes_shared)
-    pairs = list(combinations(zip((method.name for method in methods), zip(*images, strict=True), strict=True), 2))
+    shared = next(iter(results.values())).scenes_shared
+    places = clusters_of((scores[0] for scores in images), scenes_shared=shared)
+    pairs = list(combinations(zip(results, zip(*images, strict=True), strict=True), 2))
     gains = [_differences(first, other, names, places) for (_, first), (_, other) in pairs]
     corrected = iter(holm([difference.p_value for of in gains for difference in of.values()]))
     return tuple(
@@ -352,26 +353,24 @@ def _differences(
 # --- warnings -----------------------------------------------------------------------------------------------------
 
 
-def _warnings(methods: Sequence[Method], images: Images) -> tuple[str, ...]:
-    first, *others = methods
-    kind, common = first.result.kind, len(images)
+def _warnings(results: Mapping[str, EvaluationResult], common: int) -> tuple[str, ...]:
+    (name, first), *others = results.items()
     warnings = []
-    for other in others:
-        differences = [f"protocol: {words}" for words in first.result.scored_unlike(other.result)]
-        ignored = (*_NOT_DECIDING, *(_CHOOSING if first.result.chosen == other.result.chosen else ()))
-        a, b = first.result.provenance, other.result.provenance
-        differences += _differing(a, b, ignored)
+    for other, result in others:
+        differences = [f"protocol: {words}" for words in first.scored_unlike(result)]
+        a, b = first.provenance, result.provenance
+        differences += _differing(a, b, (*_NOT_DECIDING, *(_CHOOSING if first.chosen == result.chosen else ())))
         if a.get("task") is not None and b.get("task") is not None:
             differences += [f"task {words}" for words in _differing(a["task"], b["task"])]
-        warnings += [f"{first.name} and {other.name} may not compare: {words}" for words in differences]
-    for method in methods:
-        scored, expected = method.result.scored, method.result.expected
+        warnings += [f"{name} and {other} may not compare: {words}" for words in differences]
+    for name, result in results.items():
+        scored, expected, kind = result.scored, result.expected, result.kind
         if scored > common:
             warnings.append(
-                f"{method.name} has scores of {scored} {kind.units}, of which {common} are common to all and count"
+                f"{name} has scores of {scored} {kind.units}, of which {common} are common to all and count"
             )
         if scored < expected:
-            warnings.append(f"{method.name} is incomplete: {scored} of {expected} {kind.counted} were scored")
+            warnings.append(f"{name} is incomplete: {scored} of {expected} {kind.counted} were scored")
     return tuple(warnings)
 
 
@@ -397,7 +396,7 @@ def _value(fields: Mapping[str, Any], name: str) -> str:
 def means_table(comparison: Comparison, times: str = "x") -> PaperTable:
     """Return the means of each method by group; what prints like the best of its row is :class:`Strong`."""
     kind = comparison.kind
-    heads = [f"{method.name} {metric.unit or metric.label}" for method in comparison.methods for metric in kind.metrics]
+    heads = [f"{name} {metric.unit or metric.label}" for name in comparison.names for metric in kind.metrics]
     return _by_group(comparison, heads, [_mean_texts(group, kind) for group in comparison.groups], times)
 
 
@@ -472,19 +471,18 @@ def _p_text(p_value: float) -> str:
 
 def format_comparison(comparison: Comparison, form: Format) -> str:
     """Return the tables: means of every method, each method's differences to the first, and each against each."""
-    first, *others = comparison.methods
+    first, *others = comparison.names
     summary, note = summary_of(comparison), statistics_note(comparison)
     # What a label of LaTeX ends with, title, cells and note of each.
     tables = [("methods", "Means", means_table(comparison), "PSNR in dB.")]
     for index, other in enumerate(others):
-        tables.append((other.name, f"{other.name} minus {first.name}", gains_table(comparison, index), note))
+        tables.append((other, f"{other} minus {first}", gains_table(comparison, index), note))
     notes = [note]
     if comparison.contests:
         notes.append(contests_note(comparison))
         tables.append(("contests", "Each against each", contests_table(comparison), " ".join(notes)))
     if form == "latex":
-        result = comparison.methods[0].result
-        label = f"tab:{result.dataset}-{result.protocol.name}"
+        label = f"tab:{comparison.first.dataset}-{comparison.first.protocol.name}"
         return "\n\n".join(
             latex_table(
                 cells.header,
@@ -516,10 +514,10 @@ def _starred(cell: str) -> str:
 
 def summary_of(comparison: Comparison) -> str:
     """Summarise the comparison in a line: methods, images, dataset, protocol."""
-    result, kind = comparison.methods[0].result, comparison.kind
+    result, kind = comparison.first, comparison.kind
     count, scenes = len(comparison.images), comparison.whole.scenes
     return (
-        f"{len(comparison.methods)} methods on {count} common {kind.unit if count == 1 else kind.units} of "
+        f"{len(comparison.names)} methods on {count} common {kind.unit if count == 1 else kind.units} of "
         f"{counted(scenes, 'scene')}: {result.dataset}, protocol {result.protocol.name} "
         f"({short_digest(result.digest)})"
     )

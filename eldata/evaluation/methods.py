@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.files import folder_problem, path_problem, remove_leftovers, write_json, write_problem
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.comparison import compare
 from eldata.evaluation.evaluate import perform_each
 from eldata.evaluation.request import make_request
 
@@ -120,11 +120,11 @@ def named_folders(folders: Sequence[Path], names: Sequence[str] = ()) -> dict[st
 
 def compare_scored(results: Mapping[str, EvaluationResult]) -> tuple[Comparison | None, str]:
     """Compare the methods that have scores with the first of them; of several, say why where it cannot be done."""
-    scored = [Method(name, result) for name, result in results.items() if result.scored]
+    scored = {name: result for name, result in results.items() if result.scored}
     if len(results) < 2:
         return None, ""
     if len(scored) < 2:
-        who = f"{scored[0].name} alone has" if scored else "no method has"
+        who = f"{next(iter(scored))} alone has" if scored else "no method has"
         return None, f"there is nothing to compare: {who} scores"
     try:
         return compare(scored), ""

@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from eldata.base.workers import Workers
-    from eldata.evaluation.comparison import Comparison, Method
+    from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.looking import ScoredImage
+    from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Difference
     from eldata.plots.axes import Theme
@@ -76,13 +77,13 @@ def write_comparison_page(
 
 def comparison_page(comparison: Comparison, drawn: DrawnImages | None = None) -> str:
     """Return the page; the same comparison gives the same text."""
-    first, *others = comparison.methods
+    first, *others = comparison.names
     return rendered_with_script(
         "compare.html",
         "compare.js",
         picture_policy="" if drawn is None else " 'self' file:",
         kind=comparison.kind,
-        title=f"{' and '.join(_names(others))} against {first.name}",
+        title=f"{' and '.join(_joined(others))} against {first}",
         summary=f"{summary_of(comparison)}.",
         warnings=comparison.warnings,
         note=statistics_note(comparison),
@@ -95,19 +96,17 @@ def comparison_page(comparison: Comparison, drawn: DrawnImages | None = None) ->
         gradient=heat_gradient(),
         rows=_rows(comparison),
         methods=[
-            {"name": method.name, "id": f"method-{index}", "fields": _fields(method)}
-            for index, method in enumerate(comparison.methods, start=1)
+            {"name": name, "id": f"method-{index}", "fields": _fields(result)}
+            for index, (name, result) in enumerate(comparison.results.items(), start=1)
         ],
     )
 
 
-def _names(methods: Sequence[Method]) -> list[str]:
-    names = [method.name for method in methods]
-    return names if len(names) < 3 else [", ".join(names[:-1]), names[-1]]
+def _joined(names: Sequence[str]) -> list[str]:
+    return list(names) if len(names) < 3 else [", ".join(names[:-1]), names[-1]]
 
 
-def _fields(method: Method) -> list[tuple[str, str]]:
-    result = method.result
+def _fields(result: EvaluationResult) -> list[tuple[str, str]]:
     return [
         ("file", result.source),
         ("scored", f"{result.scored} of {result.expected} {result.kind.counted}"),
@@ -132,12 +131,12 @@ def _means_table(comparison: Comparison) -> Table:
 
 
 def _section(comparison: Comparison, index: int) -> dict[str, Any]:
-    first, other = comparison.methods[0], comparison.methods[index + 1]
+    first, other = comparison.names[0], comparison.names[index + 1]
     wins, losses = comparison.extremes(index)
     return {
-        "title": f"{other.name} against {first.name}",
+        "title": f"{other} against {first}",
         "id": f"gain-{index + 1}",
-        "verdict": _verdict(comparison.whole.gains[index]["psnr_db"], first.name, other.name),
+        "verdict": _verdict(comparison.whole.gains[index]["psnr_db"], first, other),
         "table": _differences_table(comparison, index),
         "plots": gain_plots(comparison, index),
         "wins": _extremes_table(wins, comparison),
@@ -209,10 +208,10 @@ def _extremes_table(pairings: Sequence[tuple[UnitScore, UnitScore]], comparison:
 
 def _rows(comparison: Comparison) -> Table:
     kind = comparison.kind
-    first, *others = comparison.methods
-    header = [kind.unit, "camera", "scene", *(() if kind.is_of_clips else FACTS), f"{first.name} dB"]
-    for method in others:
-        header += [f"{method.name} dB", "difference"]
+    first, *others = comparison.names
+    header = [kind.unit, "camera", "scene", *(() if kind.is_of_clips else FACTS), f"{first} dB"]
+    for name in others:
+        header += [f"{name} dB", "difference"]
     rows = []
     for place in comparison.worst_first():
         base, *by_others = comparison.images[place]
@@ -236,7 +235,7 @@ def _facets(comparison: Comparison) -> dict[str, list[str]]:
     """Return the columns that images are filtered by, with their values in the order of the choice."""
     scores = [of[0] for of in comparison.images]
     found = {
-        "camera": [score.camera for score in scores_in_order(scores, comparison.methods[0].result.dataset)],
+        "camera": [score.camera for score in scores_in_order(scores, comparison.first.dataset)],
         "scene": sorted((score.scene for score in scores), key=natural),
     }
     if not comparison.kind.is_of_clips:
@@ -258,8 +257,8 @@ def _looking(comparison: Comparison, drawn: DrawnImages) -> dict[str, Any]:
     panels = [
         *([("input", "Input", "", "i")] if "input" in drawn.images[0].layers else []),
         *(
-            (f"method-{index}", method.name, f"error-{index}", str(index) if index < 10 else "")
-            for index, method in enumerate(comparison.methods, start=1)
+            (f"method-{index}", name, f"error-{index}", str(index) if index < 10 else "")
+            for index, name in enumerate(comparison.names, start=1)
         ),
         ("reference", "Reference", "", "r"),
     ]
@@ -267,7 +266,7 @@ def _looking(comparison: Comparison, drawn: DrawnImages) -> dict[str, Any]:
         "panels": [dict(zip(("key", "name", "error", "digit"), panel, strict=True)) for panel in panels],
         "first": images[comparison.worst_first()[0]],
         "data": {_row_name(image["place"]): image for image in images},
-        "colours": comparison.methods[0].result.protocol.pixels,
+        "colours": comparison.first.protocol.pixels,
     }
 
 
@@ -309,7 +308,7 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
     ]
     if not finite:
         return ()
-    kind, (first, other) = comparison.kind, (comparison.methods[at].name for at in (0, index + 1))
+    kind, (first, other) = comparison.kind, (comparison.names[at] for at in (0, index + 1))
     groups = [group for group in comparison.groups if math.isfinite(group.gains[index]["psnr_db"].interval.mean)]
     gains = [(ratio, first_db, other_db - first_db) for ratio, first_db, other_db in finite]
     values = [value for _, *scores in finite for value in scores]

@@ -97,7 +97,7 @@ def test_only_common_images_count_and_that_is_said(compare: Callable[..., Outcom
     outcome = compare(*files[:2])
     assert outcome.code == 0
     assert "2 methods on 90 common images of 8 scenes" in outcome.out
-    assert "warning: base has scores of 96 images, of which 90 are common to all and count" in outcome.err
+    assert "warning: base has scores of 96 images, of which 90 are common to all" in outcome.err
     assert "warning: unet is incomplete: 90 of 96 pairs were scored" in outcome.err
 
 

@@ -12,7 +12,7 @@ from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.cli.main import main
 from eldata.errors import ArgumentError, EldataError, ShadingError
 from eldata.evaluation import EvaluationResult, evaluate, load_result, save_prediction
-from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.comparison import compare
 from eldata.evaluation.looking import images_of
 from eldata.metrics import psnr
 from eldata.noise import DarkShading
@@ -73,7 +73,7 @@ def test_the_baseline_is_corrected_and_the_result_says_so(
     assert read.digest == corrected.digest
     plain = scored(tree)
     assert corrected.scored_unlike(plain) == [f"dark shading off: {digest} against none"]
-    (warning,) = compare([Method("a", corrected), Method("b", plain)]).warnings[:1]
+    (warning,) = compare({"a": corrected, "b": plain}).warnings[:1]
     assert "dark shading" in warning
 
 
@@ -89,7 +89,7 @@ def test_of_predictions_it_is_stated(planted: tuple[Tree, Path], tmp_path: Path)
         "predictions are, as stated with --dark-shading, of inputs less the dark shading of Planted" in stated.notes[0]
     )
     assert stated.scored_unlike(plain) == [], "the same scores of given predictions; comparisons name the inputs"
-    assert any("dark shading" in words for words in compare([Method("a", plain), Method("b", stated)]).warnings)
+    assert any("dark shading" in words for words in compare({"a": plain, "b": stated}).warnings)
     page = tmp_path / "p.html"
     arguments = [str(tmp_path / "preds"), *tree.arguments]
     assert main(["evaluate", *arguments, "--camera", CAMERA, "--dark-shading", str(file), "--html", str(page)]) == 0
@@ -162,17 +162,17 @@ def test_a_shading_that_is_not_of_these_inputs(planted: tuple[Tree, Path], tmp_p
 def test_pictures_are_of_what_each_result_states(planted: tuple[Tree, Path], tmp_path: Path) -> None:
     """Of one method the input is corrected, of the other it is as the camera gave it: each as it was scored."""
     tree, file = planted
-    methods = [Method("corrected", scored(tree, dark_shading=file)), Method("plain", scored(tree))]
-    for method in methods:
-        method.result.write_json(tmp_path / f"{method.name}.json")
-    files = [str(tmp_path / f"{method.name}.json") for method in methods]
+    methods = {"corrected": scored(tree, dark_shading=file), "plain": scored(tree)}
+    for name, scores_of_method in methods.items():
+        scores_of_method.write_json(tmp_path / f"{name}.json")
+    files = [str(tmp_path / f"{name}.json") for name in methods]
     arguments = [*tree.arguments, "--dark-shading", str(file)]
     assert main(["compare", *files, *arguments, "--html", str(tmp_path / "page.html"), "--pictures"]) == 0
     comparison = compare(methods)
     assert len(list((tmp_path / "page-pictures").glob("*-input.jpg"))) == len(comparison.images)
     images = images_of(
-        comparison.results, comparison.images, dataset_folder=tree.files, predictions=[None, None], dark_shading=file
+        list(methods.values()), comparison.images, dataset_folder=tree.files, predictions=[None] * 2, dark_shading=file
     )
     seen = images[0].decoded()
     for values, method, scores in zip(seen.predictions, methods, comparison.images[0], strict=True):
-        assert psnr(values, seen.reference) == pytest.approx(scores.psnr_db, abs=1e-4), method.name
+        assert psnr(values, seen.reference) == pytest.approx(scores.psnr_db, abs=1e-4), method

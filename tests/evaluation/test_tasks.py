@@ -26,7 +26,7 @@ from eldata.evaluation import (
     save_clip_prediction,
     save_prediction,
 )
-from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.comparison import compare
 from eldata.reports.comparison import write_comparison_page
 from eldata.reports.evaluation import write_evaluation_page
 from tests.drv_tree import SmallDrv, rgb_frame_of, small_drv, still_of
@@ -156,20 +156,20 @@ def test_worker_processes_give_the_same(own: OwnSet) -> None:
 
 
 def test_methods_are_compared_by_the_task_that_they_share(own: OwnSet, tmp_path: Path) -> None:
-    first, other = Method("fine", scored(own, task=worst)), Method("noisy", scored(own, "other", task=worst))
-    both = compare([first, other])
+    first, other = scored(own, task=worst), scored(own, "other", task=worst)
+    both = compare({"fine": first, "noisy": other})
     assert [metric.name for metric in both.kind.metrics] == ["psnr_db", "ssim", "task"]
     assert both.whole.gains[0]["task"].interval.mean > 0  # of noise; lower is better
     assert not both.warnings
     write_comparison_page(both, tmp_path / "page.html")
     assert "worst error" in (tmp_path / "page.html").read_text(encoding="utf-8")
-    without = compare([first, Method("noisy", scored(own, "other"))])
+    without = compare({"fine": first, "noisy": scored(own, "other")})
     assert [metric.name for metric in without.kind.metrics] == ["psnr_db", "ssim"]
     assert not without.warnings
-    changed = other.result.provenance | {"task": other.result.provenance["task"] | {"source_sha256": "sha256:00"}}
-    (warning,) = compare([first, Method("noisy", replace(other.result, provenance=changed))]).warnings
+    changed = other.provenance | {"task": other.provenance["task"] | {"source_sha256": "sha256:00"}}
+    (warning,) = compare({"fine": first, "noisy": replace(other, provenance=changed)}).warnings
     assert "fine and noisy may not compare: task source sha256: sha256:" in warning
-    unlike = compare([first, Method("noisy", scored(own, "other", task=gap_of_means))])
+    unlike = compare({"fine": first, "noisy": scored(own, "other", task=gap_of_means)})
     assert [metric.name for metric in unlike.kind.metrics] == ["psnr_db", "ssim"]
     assert any("task label" in warning for warning in unlike.warnings)
 
@@ -252,5 +252,5 @@ def test_a_clip_has_the_mean_over_its_frames_as_the_published_code_corrects_them
         _, shown = published_code.eld_clip(made, still, correct=True)
         assert video.task == pytest.approx(shown.mean(dtype=float) - still.mean(dtype=float), abs=1e-6)  # float32
     assert evaluate(drv.root / "preds", task=gap_of_means, workers=2, **given).videos == result.videos
-    both = compare([Method("one", result), Method("other", result)])
+    both = compare({"one": result, "other": result})
     assert [metric.name for metric in both.kind.metrics] == ["psnr_db", "ssim", "st_rred", "task"]

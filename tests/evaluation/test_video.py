@@ -16,7 +16,7 @@ from eldata.cli.main import main
 from eldata.datasets.published.clips import DRVDataset
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation import EvaluationResult, evaluate, save_clip_prediction
-from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.comparison import compare
 from eldata.evaluation.looking import images_of
 from eldata.manifest.drv import scan_raw
 from eldata.metrics import PEAK_ELD, psnr, st_rred
@@ -235,15 +235,17 @@ def test_pictures_of_clips_show_a_frame_of_each(
     drv: SmallDrv, predictions: Path, result: EvaluationResult, own: Path, tmp_path: Path
 ) -> None:
     """The one with the first method's lowest PSNR, as both were scored on it."""
-    methods = [Method("first", result), Method("second", score(drv, own))]
-    for method in methods:
-        method.result.write_json(tmp_path / f"{method.name}.json")
-    files = [str(tmp_path / f"{method.name}.json") for method in methods]
+    methods = {"first": result, "second": score(drv, own)}
+    for name, scores_of_method in methods.items():
+        scores_of_method.write_json(tmp_path / f"{name}.json")
+    files = [str(tmp_path / f"{name}.json") for name in methods]
     arguments = ["--manifest", str(drv.csv), "--root", str(drv.root), "--jobs", "1"]
     assert main(["compare", *files, *arguments, "--html", str(tmp_path / "page.html"), "--pictures"]) == 0
     comparison = compare(methods)
     assert len(list((tmp_path / "page-pictures").glob("*-reference.jpg"))) == len(comparison.images)
-    images = images_of(comparison.results, comparison.images, dataset_folder=drv.data, predictions=[predictions, own])
+    images = images_of(
+        list(methods.values()), comparison.images, dataset_folder=drv.data, predictions=[predictions, own]
+    )
     for image, (scores, _) in zip(images, comparison.images, strict=True):
         worst = min(frame.psnr_db for frame in scores.frames)
         seen = image.decoded()

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from eldata.calibration.core.photon_transfer import PhotonTransferLine
 from eldata.errors import ArgumentError
-from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.comparison import compare
 from eldata.noise import CameraProfile
 from eldata.plots.axes import LIGHT
 from eldata.protocols import PROTOCOLS
@@ -118,7 +118,7 @@ def test_the_axes_of_others_are_drawn_into() -> None:
 
 
 def test_the_gains_of_each_method_are_drawn_by_group() -> None:
-    methods = [Method("a", result()), Method("b", result(method=1, gain_db=0.5)), Method("c", result(method=2))]
+    methods = {"a": result(), "b": result(method=1, gain_db=0.5), "c": result(method=2)}
     compared = compare(methods)
     (axes,) = compared.plot().axes
     assert axes.get_title() == "2 methods against a"
@@ -148,7 +148,7 @@ def test_a_result_in_one_line_and_in_a_notebook() -> None:
 
 def test_hostile_names_stay_text() -> None:
     scored = result(cameras=(HOSTILE, "$\\frac{$ 相机"), scenes=2, dataset=HOSTILE)
-    for shown in (scored, compare([Method(HOSTILE, scored), Method("b\n$x$", scored)])):
+    for shown in (scored, compare({HOSTILE: scored, "b\n$x$": scored})):
         assert_one_line(shown, "")
         assert_shows_in_a_notebook(shown, HOSTILE)
         assert shown.plot().axes  # and neither mathematics nor a letter that the font lacks

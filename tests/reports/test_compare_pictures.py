@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from eldata.cli.main import main
-from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.comparison import compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import images_of, place_of_difference, units_again
 from eldata.evaluation.results import load_result
@@ -72,11 +72,11 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Compared:
         place(folder / name, tree, make)
         evaluate(folder / name, **tree.where).write_json(folder / f"{name}.json")
         files.append(folder / f"{name}.json")
-    methods = [Method(path.stem, load_result(path)) for path in files]
+    methods = {path.stem: load_result(path) for path in files}
     comparison = compare(methods)
-    dataset, units = units_again(methods[0].result, **tree.where)
+    dataset, units = units_again(comparison.first, **tree.where)
     images = images_of(
-        comparison.results,
+        list(comparison.results.values()),
         comparison.images,
         dataset_folder=dataset,
         predictions=[folder / "near", folder / "far"],
@@ -126,7 +126,7 @@ def test_renderings_are_compared_as_they_are(compared: Compared, tmp_path: Path)
     """Under a protocol of sRGB: two predictions that are the reference's own rendering, darker and darker still."""
     tree = compared.tree
     references = {pair.path: pair.reference for pair in tree.pairs}
-    methods = []
+    methods = {}
     for name, factor in (("dark", 0.9), ("darker", 0.5)):
 
         def darkened(_target: NDArray[np.float64], path: str, by: float = factor) -> NDArray[np.float32]:
@@ -134,12 +134,14 @@ def test_renderings_are_compared_as_they_are(compared: Compared, tmp_path: Path)
 
         place(tmp_path / name, tree, darkened)
         found = evaluate(tmp_path / name, **tree.where, protocol="sid2018", allow_missing=True)
-        methods.append(Method(name, found))
+        methods[name] = found
     comparison = compare(methods)
     assert comparison.images
-    dataset, units = units_again(methods[0].result, **tree.where)
-    folders = [tmp_path / method.name for method in methods]
-    images = images_of(comparison.results, comparison.images, dataset_folder=dataset, predictions=folders, units=units)
+    dataset, units = units_again(comparison.first, **tree.where)
+    folders = [tmp_path / name for name in methods]
+    images = images_of(
+        list(methods.values()), comparison.images, dataset_folder=dataset, predictions=folders, units=units
+    )
     write_comparison_page(comparison, tmp_path / "page.html", images=images)
     made = tmp_path / "page-pictures"
     names = {path.name.partition("-")[2] for path in made.iterdir()}

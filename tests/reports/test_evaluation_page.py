@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from eldata.errors import EldataError, PredictionError
-from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.comparison import compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import worst_and_best, worst_and_best_images
 from eldata.evaluation.results import saved_result
@@ -97,7 +97,7 @@ def hostile() -> str:
 @pytest.fixture(scope="module")
 def comparison() -> str:
     methods = [result(), result(gain_db=0.4, method=1), result(gain_db=-0.1, method=2)]
-    return comparison_page(compare([Method(name, one) for name, one in zip("abc", methods, strict=True)]))
+    return comparison_page(compare(dict(zip("abc", methods, strict=True))))
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def hostile_comparison() -> str:
     second["provenance"]["protocol_digest"] = fields_digest(second["protocol"])
     names = HOSTILE, "相机 $y$ " + "long" * 20
     return comparison_page(
-        compare([Method(name, saved_result(one, HOSTILE)) for name, one in zip(names, (first, second), strict=True)])
+        compare({name: saved_result(one, HOSTILE) for name, one in zip(names, (first, second), strict=True)})
     )
 
 

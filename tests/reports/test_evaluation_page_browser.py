@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.comparison import compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.results import saved_result
 from eldata.reports import pictures
@@ -38,12 +38,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pictures, "CROP", (24, 36))
         write_evaluation_page(evaluated, paths["evaluation"], dataset_folder=tree.files, predictions=folder / "preds")
-    methods = [Method(name, result(gain_db=gain, method=gain)) for gain, name in enumerate(("base", "unet", "best"))]
+    methods = {name: result(gain_db=gain, method=gain) for gain, name in enumerate(("base", "unet", "best"))}
     write_comparison_page(compare(methods), paths["comparison"])
     hostile = [saved_result(hostile_data(method=method), "test") for method in (0, 1)]
     paths["hostile"].write_text(evaluation_page(hostile[0], ShownImages((), 1.0)), encoding="utf-8")
     bad = "<b>" + "long" * 30
-    write_comparison_page(compare([Method("a", hostile[0]), Method(bad, hostile[1])]), paths["hostile-comparison"])
+    write_comparison_page(compare({"a": hostile[0], bad: hostile[1]}), paths["hostile-comparison"])
     return paths
 
 

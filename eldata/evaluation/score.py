@@ -139,11 +139,16 @@ def score_predictions(
     request
         Who works, under which protocol, and what is wanted beyond it.
     files
-        The dataset's.
+        The dataset's files.
     pairs
-        In order.
+        The pairs, or windows of clips, that the protocol scores, in order.
     predictions
-        Of each folder.
+        Of each folder its prediction files by place; ``None``: the noisy inputs are scored.
+
+    Returns
+    -------
+    list of list of PairOutcome
+        Of each folder the outcomes of its pairs, in order.
 
     Raises
     ------
@@ -153,28 +158,29 @@ def score_predictions(
     """
     how = _scoring_of(request, files)
     inspected = chosen_frames((pair.path, pair.camera, pair.nominal_ratio, float(pair.iso or 0)) for pair in pairs)
-    found: list[dict[str, PairOutcome]] = [{} for _ in predictions]
+    outcomes: list[dict[str, PairOutcome]] = [{} for _ in predictions]
     units = _plan_units(how.files, pairs, predictions)
+    work = partial(_score_unit, replace(how, files=how.files.only(())), inspected)  # each unit brings its own files
     while units:
         again: list[ScoringUnit] = []
-        work = partial(_score_unit, how, inspected)
-        for outcome in request.workers.attempt(work, units, label="scoring", unit="reference"):
-            if not isinstance(outcome, Failed):
-                for number, scored in outcome:
-                    found[number][scored.path] = scored
+        for result in request.workers.attempt(work, units, label="scoring", unit="reference"):
+            if not isinstance(result, Failed):
+                for number, outcome in result:
+                    outcomes[number][outcome.path] = outcome
                 continue
-            unit, error = outcome.unit, outcome.error
+            unit, error = result.unit, result.error
             if len(unit.predictions) > 1:  # one folder's file may have ended the worker: the others keep their scores
-                again += [replace(unit, predictions={number: those}) for number, those in unit.predictions.items()]
+                again += [replace(unit, predictions={folder: those}) for folder, those in unit.predictions.items()]
             elif isinstance(error, (EldataError, OSError)):
-                for number, those in unit.predictions.items():
-                    lost = [_without_reference(pair, outcome.reason) for pair in unit.pairs if _is_whole(pair, those)]
-                    found[number].update({one.path: one for one in lost})
+                for number, by_place in unit.predictions.items():
+                    for pair in unit.pairs:
+                        if _is_whole(pair, by_place):
+                            outcomes[number][pair.path] = _without_reference(pair, result.reason)
             else:
                 error.add_note(f"while the predictions for the reference {unit} were scored")
                 raise error
         units = again
-    return [[scored[pair.path] for pair in pairs if pair.path in scored] for scored in found]
+    return [[by_path[pair.path] for pair in pairs if pair.path in by_path] for by_path in outcomes]
 
 
 def _scoring_of(request: Request, files: FrameFiles) -> Scoring:
@@ -189,13 +195,13 @@ def _plan_units(files: FrameFiles, pairs: Sequence[Pair], predictions: Sequence[
     units = []
     for reference, members in sharing.items():
         places = [pair.place(frame) for pair in members for frame in pair.frames]
-        those: dict[int, Predictions] = {}
+        by_folder: dict[int, Predictions] = {}
         for number, by_place in enumerate(predictions):
             if any(_is_whole(pair, by_place) for pair in members):
-                those[number] = by_place and {place: by_place[place] for place in places if place in by_place}
-        if those:
+                by_folder[number] = by_place and {place: by_place[place] for place in places if place in by_place}
+        if by_folder:
             needed = files.only([path for pair in members for path in pair.files])
-            units.append(ScoringUnit(reference, tuple(members), those, needed))
+            units.append(ScoringUnit(reference, tuple(members), by_folder, needed))
     return units
 
 
@@ -212,7 +218,7 @@ def _without_reference(pair: Pair, reason: str) -> PairOutcome:
 def _score_unit(how: Scoring, inspected: frozenset[str], unit: ScoringUnit) -> list[tuple[int, PairOutcome]]:
     """Return the outcome of each pair of a unit with the number of its folder; in a worker."""
     how = replace(how, files=unit.files)
-    files = [file for those in unit.predictions.values() for file in (those or {}).values()]
+    files = [file for by_place in unit.predictions.values() for file in (by_place or {}).values()]
     require_files(inside(how.files.folder, unit.reference), *(how.start / file for file in files))
     read = _keep_last(how)
     return [

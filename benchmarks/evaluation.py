@@ -12,7 +12,7 @@ from benchmarks import published
 from benchmarks.harness import Row, in_turn
 from benchmarks.oracle import deviations
 from eldata import evaluate
-from eldata.evaluation import units
+from eldata.evaluation import score
 
 if TYPE_CHECKING:
     from benchmarks.data import Files
@@ -26,7 +26,7 @@ def looking_cost(files: Files, rounds: int) -> list[Row]:
         return evaluate(files.predictions, root=files.data, manifest=files.manifest)
 
     def scoring() -> EvaluationResult:
-        with patch.object(units, "chosen_frames", lambda _frames: frozenset()):
+        with patch.object(score, "chosen_frames", lambda _frames: frozenset()):
             return looking()
 
     count = len(looking().images)

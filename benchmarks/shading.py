@@ -42,7 +42,7 @@ def run(_files: Files, rounds: int, _cores: int) -> list[Row]:
     )
     mosaic = generator.integers(400, 900, SIZE, dtype=np.uint16)
     plain = Frame.of_raw(mosaic, sensor, "frame", Exposure(Fraction(_ISO), Fraction(1)))
-    corrected = plain.less(shading)
+    corrected = plain.subtract(shading)
     crops = [Crop.draw(plain, generator, crop=_SIDE, augment=True) for _ in range(_CROPS)]
     whole = Crop.draw(plain, generator, crop=None, augment=False)
     patch, all_of_it = (np.empty(crop.packed_shape, np.float32) for crop in (crops[0], whole))

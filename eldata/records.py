@@ -264,6 +264,8 @@ def _of_columns(kind: type[_Record], columns: Mapping[str, Sequence[object]]) ->
 class PairRecord:
     """A noisy frame and its reference, from the manifest alone.
 
+    A :class:`~eldata.manifest.clips.ClipRecord` answers to the same names.
+
     Attributes
     ----------
     path, reference
@@ -281,3 +283,31 @@ class PairRecord:
     exposure_s: Fraction | None
     ratio: Fraction
     flags: tuple[str, ...] = ()
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The noisy frame."""
+        return (self.path,)
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The noisy frame, and its reference if it has one."""
+        return (self.path, self.reference) if self.reference else (self.path,)
+
+    @property
+    def name(self) -> str:
+        """What messages call it: the path of the noisy frame."""
+        return self.path
+
+    @property
+    def nominal_ratio(self) -> float:
+        """The ratio as a float."""
+        return float(self.ratio)
+
+    def reference_of(self, frame: str) -> str:  # noqa: ARG002 # there is one
+        """Return what the noisy frame is compared with."""
+        return self.reference
+
+    def place(self, frame: str) -> str:
+        """Return where the prediction of the noisy frame lies, without its extension."""
+        return frame

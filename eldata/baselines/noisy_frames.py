@@ -5,39 +5,37 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.arrays import rgb_frame
 from eldata.base.numbers import checked_number
 from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_image, noise_of_parameters
 from eldata.baselines.exported import checked_window
 from eldata.errors import ArgumentError, DatasetError
-from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame, rendered_frame
-from eldata.evaluation.scores import amplified_by, iso_of, reference_of
+from eldata.isp.rendering import render_to_8_bits
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.noise.parameters import NoiseParameters
 from eldata.noise.profile import rows_nearest, rows_of
-from eldata.raw.levels import packed_frame
-from eldata.raw.reading import exposure_ratio, read_header, read_raw
+from eldata.sources.frames import Files, Frame
+from eldata.sources.pairs import PairOpener
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from eldata.noise.profile import CameraProfile
-    from eldata.raw.levels import FrameLevels
-    from eldata.records import RawFrame, Sensor
-
-    Values = NDArray[np.floating[Any]]
     from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from eldata.evaluation.scores import Pair
     from eldata.manifest.catalogue import FrameFiles
     from eldata.manifest.clips import Clip
+    from eldata.noise.profile import CameraProfile
     from eldata.protocols.protocol import Protocol as ScoringProtocol
     from eldata.raw.levels import Clip as ClipRange
+    from eldata.raw.levels import FrameLevels
+    from eldata.records import RawFrame
+
+    Values = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +89,7 @@ class NoisyFrames:
     protocol
         Which decides levels and amplification.
     clip_range, dark_shading
-        Of the input, and what is taken off it.
+        Of the input, and what is subtracted from it.
     """
 
     dataset: FrameFiles
@@ -105,38 +103,25 @@ class NoisyFrames:
     def frame(self, path: str) -> NoisyFrame:
         """Return a frame as a denoiser gets it."""
         if path not in self._read:
-            self._read[path] = self._taken(path)
+            self._read[path] = self._read_frame(path)
         return self._read[path]
 
-    def _taken(self, path: str) -> NoisyFrame:
-        pair = self.pair
-        near = partial(self._window, path)
-        noisy = self.dataset.at(path)
-        if self.protocol.pixels == "rgb" and isinstance(noisy, Path):  # amplified by its authors
-            return NoisyFrame(rgb_frame(noisy), 1.0, math.nan, pair, path, None, near)
-        frame = read_raw(noisy)
-        ratio = amplified_by(pair, self.protocol.amplification)
-        if ratio is None:
-            ratio = float(exposure_ratio(read_header(self.dataset.at(reference_of(pair, path) or path)), frame))
-        taken = less_shading(frame, dark_shading_in(self.dark_shading), path) if self.dark_shading else frame
-        levels, reference = self.protocol.levels, self._reference_of(frame, path)
-        image = normalised_frame(taken, levels, clip=self.clip_range, gain=ratio, reference=reference)
-        black, white = levels_dn(frame, levels, reference)
-        iso = iso_of(pair) or float(frame.exposure.iso or 0)
-        if self.protocol.input_space == "srgb":
-            image = rendered_frame(image, frame, self.protocol.curve).astype(np.float32)
-            return NoisyFrame(image, ratio, math.nan, pair, path, iso or None, near)
-        range_dn, is_black = white[0] - float(np.mean(black)), self.dark_shading is not None
-        return NoisyFrame(image, ratio, range_dn, pair, path, iso or None, near, is_black)
-
-    def _reference_of(self, frame: RawFrame, path: str) -> Sensor | None:
-        """Return the sensor of a frame's reference, decoded unless its header states the frame's white level."""
-        reference = reference_of(self.pair, path)
-        if not reference or self.protocol.levels != "metadata":
-            return None
-        file = self.dataset.at(reference)
-        stated = read_header(file).levels_dn
-        return None if stated is not None and stated[1] == frame.sensor.white_level_dn else read_raw(file).sensor
+    def _read_frame(self, path: str) -> NoisyFrame:
+        pair, protocol, source = self.pair, self.protocol, Files(self.dataset)
+        shading = None if self.dark_shading is None else dark_shading_in(self.dark_shading)
+        opener = PairOpener(source, protocol.levels, protocol.amplification, shading)
+        noisy = source.frame(path)
+        reference = pair.reference_of(path) if noisy.sensor is not None else None
+        target = source.outline(reference, noisy, protocol.levels) if reference else None
+        opened = opener.open_pair(pair, target, path, noisy)
+        image, near = opened.input.normalise(self.clip_range, opened.gain), partial(self._window, path)
+        iso = float(pair.iso or noisy.exposure.iso or 0) or None
+        if noisy.sensor is not None and protocol.input_space == "srgb":
+            image = (render_to_8_bits(image, noisy.sensor, response=protocol.curve) / 255.0).astype(np.float32)
+            return NoisyFrame(image, opened.gain, math.nan, pair, path, iso, near)
+        if noisy.sensor is None:  # amplified by its authors
+            return NoisyFrame(image, 1.0, math.nan, pair, path, None, near)
+        return NoisyFrame(image, opened.gain, opened.input.range_dn, pair, path, iso, near, shading is not None)
 
     def _window(self, path: str, length: int) -> Values:
         if self.clip is None:
@@ -280,11 +265,11 @@ def denoise(
     >>> denoise(noisy, CameraProfile.load("SonyA7S2"), ratio=100.0).shape  # one's own camera's
     (4, 256, 384)
     """
-    image = packed_frame(frame, levels=levels, clip="none", gain=checked_number("ratio", ratio, above=0))
+    noisy = Frame.of_decoded(frame).with_levels(levels)
+    image = noisy.normalise("none", checked_number("ratio", ratio, above=0))
     if profile is None:
         line = estimate_line(image)
     else:
-        black, white = levels_dn(frame, levels)
-        range_dn, iso = white[0] - float(np.mean(black)), float(frame.exposure.iso or 0) or None
-        line = line_of_profile(profile, str(frame.path), iso, ratio=ratio, range_dn=range_dn)
+        iso = float(frame.exposure.iso or 0) or None
+        line = line_of_profile(profile, noisy.name, iso, ratio=ratio, range_dn=noisy.range_dn)
     return np.asarray(BASELINES["network"].denoise(image, line), dtype=np.float32)

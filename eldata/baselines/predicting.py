@@ -21,7 +21,6 @@ from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.evaluation.layouts import stem_of
 from eldata.evaluation.predictions import save_prediction
 from eldata.evaluation.request import make_request, plan_scoring, require_pairs
-from eldata.evaluation.scores import files_of, frames_of, place_of
 from eldata.manifest.card import CHANNELS
 from eldata.manifest.clips import clips_of, setting_name
 from eldata.manifest.patterns import expand
@@ -257,7 +256,7 @@ def write_predictions(
         **({name: in_words(name, getattr(chosen, name)) for name in _OF_SRGB} if chosen.pixels == "srgb" else {}),
     }
     with begun(folder, settings):
-        every = [_file_of(folder, pair, path) for pair in pairs for path in frames_of(pair)]
+        every = [_file_of(folder, pair, path) for pair in pairs for path in pair.frames]
         for place in sorted({file.parent for file in every}):
             if place.is_dir():
                 remove_leftovers(place)
@@ -310,14 +309,14 @@ def _units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]
         clips = {clip.scene: clip for clip in clips_of(rows)}
     units = []
     for pair in pairs:
-        missing = tuple(path for path in frames_of(pair) if not _file_of(folder, pair, path).exists())
+        missing = tuple(path for path in pair.frames if not _file_of(folder, pair, path).exists())
         if missing:
             units.append(_Unit(pair, missing, clips.get(pair.scene)))
     return units
 
 
 def _file_of(folder: Path, pair: Pair, path: str) -> Path:
-    return folder / f"{stem_of(place_of(pair, path))}.npy"
+    return folder / f"{stem_of(pair.place(path))}.npy"
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,7 +348,7 @@ class _Prediction:
 
     def __call__(self, unit: _Unit) -> None:
         pair = unit.pair
-        require_files(*(inside(self.dataset.folder, path) for path in files_of(pair)))
+        require_files(*(inside(self.dataset.folder, path) for path in pair.files))
         frames = NoisyFrames(self.dataset, pair, unit.clip, self.protocol, self.clip, self.dark_shading)
         for path in unit.missing:
             frame = frames.frame(path)
@@ -360,7 +359,7 @@ class _Prediction:
                 raise DatasetError(f"the denoiser made {unusable} of {predicted.size} values NaN or infinite")
             if self.dtype == "uint16":
                 predicted = np.rint(np.clip(predicted, 0.0, 1.0) * 65535)
-            save_prediction(self.out, place_of(pair, path), predicted.astype(self.dtype))
+            save_prediction(self.out, pair.place(path), predicted.astype(self.dtype))
 
     def _check_shape(self, made: tuple[int, ...], given: tuple[int, ...]) -> None:
         """Raise :class:`DatasetError` unless a prediction has the channels of the protocol, and the frame's size."""

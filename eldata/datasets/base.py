@@ -2,40 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
 
-import numpy as np
-
-from eldata.base.arrays import NpyError, read_npy
-from eldata.base.files import file_problem, inside
 from eldata.base.tables import frame_of
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, DrawnItem, Part, shading_text
-from eldata.errors import DatasetError
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest
 from eldata.manifest.pairs import Choice
 from eldata.protocols.named import default_protocol
-from eldata.raw.levels import packed_area, packed_shape, unpack
-from eldata.records import Exposure, Records
-from eldata.sources.frames import Files, Frame, checked_ratio, stated_ratio
+from eldata.records import Records
+from eldata.sources.frames import Files
+from eldata.sources.pairs import PairOpener
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
     from pathlib import Path
 
+    import numpy as np
     import pandas as pd
     import torch
 
-    from eldata.base.arrays import Declared
     from eldata.datasets.items import Crops
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
     from eldata.raw.levels import Clip, FrameLevels
     from eldata.records import PairRecord
-    from eldata.sources.frames import FrameSource
+    from eldata.sources.frames import Frame, FrameSource
+    from eldata.sources.pairs import OpenedPair
 
 Side = Literal["input", "target"]
 SIDES: tuple[Side, ...] = get_args(Side)
@@ -67,54 +62,21 @@ class Sample(TypedDict):
 _MOST_OPEN = 4096
 
 
-@dataclass(slots=True)
-class OpenedPair:
-    """Two frames; those of a source that decodes whole frames are here only until they are read.
-
-    ``ratio`` is what the input is multiplied by, ``exposure`` the noisy file's.
-    """
-
-    record: PairRecord
-    target: Frame
-    input: Frame | None = None
-    ratio: Fraction = Fraction(1)
-    exposure: Exposure = Exposure()  # noqa: RUF009 # frozen
-
-    def parts(self) -> Iterator[Part]:
-        """Yield the target, then the input."""
-        yield Part("target", self.target, is_light=True)
-        if self.input is not None:
-            # What no raw file states is amplified already.
-            yield Part("input", self.input, gain=float(self.ratio) if self.input.sensor else 1.0)
-
-    def facts(self) -> dict[str, Any]:
-        """Return the fields of a :class:`Sample` that are not tensors."""
-        record, exposure = self.record, self.exposure
-        return {
-            "ratio": float(self.ratio),
-            "nominal_ratio": float(record.ratio),
-            "iso": float(exposure.iso or 0),
-            "exposure_s": float(exposure.exposure_s or 0),
-            "camera": record.camera,
-            "scene": record.scene,
-            "split": record.split,
-            "path": record.path,
-            "reference": record.reference,
-            "flags": ";".join(record.flags),
-        }
-
-
-@dataclass(slots=True, eq=False)
-class PairItem(DrawnItem):
-    """A part of both frames of a pair."""
-
-    pair: OpenedPair
-
-    @classmethod
-    def of(cls, pair: OpenedPair, crop: Crop) -> PairItem:
-        """Return the item of a pair whose frames are open."""
-        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(SIDES, crop.packed_shape)
-        return cls(crop, shapes, pair.parts(), pair.facts(), pair.target.sensor, pair)
+def _facts_of(record: PairRecord, pair: OpenedPair) -> dict[str, Any]:
+    """Return the fields of a :class:`Sample` that are not tensors."""
+    exposure = pair.input.exposure
+    return {
+        "ratio": float(record.ratio if pair.ratio is None else pair.ratio),
+        "nominal_ratio": record.nominal_ratio,
+        "iso": float(exposure.iso or 0),
+        "exposure_s": float(exposure.exposure_s or 0),
+        "camera": record.camera,
+        "scene": record.scene,
+        "split": record.split,
+        "path": record.path,
+        "reference": record.reference,
+        "flags": ";".join(record.flags),
+    }
 
 
 class SourcePairs(CroppedItems[Sample]):
@@ -150,6 +112,7 @@ class SourcePairs(CroppedItems[Sample]):
         self.name = name
         cameras = (record.camera for record in self.records)
         self._choose_values(levels, clip, amplification, dark_shading, cameras)
+        self._opener = PairOpener(source, levels, amplification, self.dark_shading)
         self.crops_per_frame = crops_per_frame
         super().__init__(crop, augment, crops, seed, ("crops_per_frame", crops_per_frame))
         self._pairs: dict[int, OpenedPair] = {}
@@ -166,24 +129,23 @@ class SourcePairs(CroppedItems[Sample]):
     def __len__(self) -> int:
         return self._length_of(len(self.records))
 
-    def drawn(self, place: int, generator: np.random.Generator) -> PairItem:
+    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
         """Draw a crop of pair ``place`` modulo their number, or of a grid its crop."""
         number, tile = self._record_of(place, len(self.records))
-        pair = self._known(number) if self.reads_parts else self._begun(self.records[number])
-        item = PairItem.of(pair, Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment, tile=tile))
-        if not self.reads_parts:
-            item.parts = self._one_by_one(pair, item.facts)
-        return item
+        record = self.records[number]
+        pair = self._cached_pair(number) if self.reads_parts else None
+        target = self._opener.open_target(record.reference) if pair is None else pair.target
+        crop = Crop.draw(target, generator, crop=self.crop, augment=self.augment, tile=tile)
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(SIDES, crop.packed_shape)
+        return DrawnItem(crop, shapes, self._parts(record, target, pair), {}, target.sensor)
 
-    def _one_by_one(self, pair: OpenedPair, facts: dict[str, Any]) -> Iterator[Part]:
-        """Yield the target, then the input, of frames that are decoded whole and held one at a time."""
-        parts = pair.parts()
-        yield next(parts)
-        pair.target = pair.target.without_pixels()
-        self._open_input(pair)
-        facts.update(pair.facts())
-        yield from parts
-        pair.input = None
+    def _parts(self, record: PairRecord, target: Frame, pair: OpenedPair | None) -> Iterator[Part]:
+        """Yield the target, then the input, which is opened once the target was read unless it is open already."""
+        yield Part("target", target, is_light=True)
+        if pair is None:
+            target = target.without_pixels()
+            pair = self._opener.open_pair(record, target)
+        yield Part("input", pair.input, gain=pair.gain, facts=_facts_of(record, pair))
 
     def _check_pairs(self) -> None:
         """Refuse what is not a pair: a source that reads parts knows all but the pixels. One of each kind is opened."""
@@ -196,43 +158,25 @@ class SourcePairs(CroppedItems[Sample]):
             kind = kind_of(record.reference), kind_of(record.path), own
             if kind not in kinds:
                 kinds.add(kind)
-                self._opened(record)
+                self._open_pair(record)
 
     def _outlined(self, path: str) -> Frame:
         return self.source.frame(path).without_pixels()
 
-    def _known(self, place: int) -> OpenedPair:
+    def _open_pair(self, record: PairRecord) -> OpenedPair:
+        return self._opener.open_pair(record, self._opener.open_target(record.reference))
+
+    def _cached_pair(self, place: int) -> OpenedPair:
         """Return a pair whose frames are open; those of a small set stay so."""
         pair = self._pairs.get(place)
         if pair is None:
             if len(self._pairs) >= _MOST_OPEN:
                 self._pairs.clear()
-            pair = self._pairs[place] = self._opened(self.records[place])
+            pair = self._pairs[place] = self._open_pair(self.records[place])
         return pair
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_pairs": {}}  # each process opens those that it reads
-
-    def _begun(self, record: PairRecord) -> OpenedPair:
-        target = self.source.frame(record.reference).with_levels(self.levels)
-        return OpenedPair(record, target)
-
-    def _opened(self, record: PairRecord) -> OpenedPair:
-        pair = self._begun(record)
-        self._open_input(pair)
-        return pair
-
-    def _open_input(self, pair: OpenedPair) -> None:
-        record, target = pair.record, pair.target
-        noisy = self._noisy(record, target)
-        ratio = checked_ratio(record, target, noisy)
-        pair.ratio = stated_ratio(record, self.amplification) or ratio
-        pair.exposure = noisy.exposure
-        pair.input = noisy if self.dark_shading is None else noisy.less(self.dark_shading)
-
-    def _noisy(self, record: PairRecord, target: Frame) -> Frame:
-        """Open the noisy frame of a pair; ``target`` is its reference."""
-        return self.source.frame(record.path).with_levels(self.levels, target)
 
     def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is, as names and values."""
@@ -355,7 +299,6 @@ class PairDataset(SourcePairs):
         choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
         records = choice.pairs(loaded.records, loaded.card.subsets)
         files = FrameFiles.of(self.root, loaded.card, loaded.records)
-        self._stated = files.stated
         super().__init__(
             Files(files, loaded.records, loaded.card), records, name=loaded.name,
             levels=levels or default_protocol(loaded.card).frame_levels, clip=clip, amplification=amplification,
@@ -365,11 +308,6 @@ class PairDataset(SourcePairs):
 
     def _place(self) -> str:
         return str(self.root)
-
-    def _noisy(self, record: PairRecord, target: Frame) -> Frame:
-        if record.path.endswith(".npy") and record.path not in self._stated:
-            return _packed_noisy(inside(self.root, record.path), record, target)
-        return super()._noisy(record, target)
 
 
 def _manifest(manifest: Path | str) -> Manifest:
@@ -382,26 +320,3 @@ def _kind_of(frame: Frame) -> tuple[object, ...]:
     """Return what decides with which others a frame makes a pair: all but its colours."""
     exposure = frame.exposure
     return frame.shape, frame.cfa, frame.black_level_dn, frame.white_level_dn, exposure.iso, exposure.exposure_s
-
-
-def _packed_noisy(path: Path, record: PairRecord, target: Frame) -> Frame:
-    """Read a packed, amplified noisy frame, as a mosaic like its reference's."""
-    shape = packed_shape(target.shape, target.cfa)
-
-    def check(header: Declared) -> None:
-        if header.shape != shape or header.values != "float32":  # noqa: PD011 # no pandas
-            found = f"{header.values} {header.shape}"  # noqa: PD011 # no pandas
-            raise DatasetError(f"{path}: expected float32 {shape} like its reference, found {found}")
-
-    problem = file_problem(path)
-    if problem is not None:
-        raise DatasetError(f"{path}: {problem}")
-    try:
-        with path.open("rb") as file:
-            packed = read_npy(file, path.stat().st_size, check)
-    except (OSError, NpyError) as error:
-        raise DatasetError(f"{path}: cannot be read as a packed array ({error})") from error
-    mosaic = np.zeros(target.shape, np.float32)
-    mosaic[packed_area(target.shape, target.cfa).slices] = unpack(packed, target.cfa)
-    levels = (0.0,) * len(target.black_level_dn)
-    return Frame(mosaic, target.cfa, levels, 1.0, str(path), exposure=Exposure(record.iso, record.exposure_s))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -12,9 +12,10 @@ from eldata.datasets.items import CroppedItems, DrawnItem, Part, shading_text
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
-from eldata.manifest.pairs import NOMINAL_RATIO, Choice
+from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand
-from eldata.sources.frames import stated_ratio
+from eldata.sources.frames import Frame
+from eldata.sources.pairs import PairOpener
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -34,7 +35,8 @@ if TYPE_CHECKING:
     from eldata.raw.levels import Clip as Clipping
     from eldata.raw.levels import FrameLevels
     from eldata.records import FrameRecord
-    from eldata.sources.frames import Frame, FrameSource
+    from eldata.sources.frames import FrameSource
+    from eldata.sources.pairs import OpenedPair
 
 
 class UnpairedClipSample(TypedDict):
@@ -67,6 +69,10 @@ class ClipSample(UnpairedClipSample):
 
     target: torch.Tensor
     reference: str
+
+
+def _keep_pixels(frame: Frame) -> Frame:
+    return frame  # which reads parts, and holds none
 
 
 class ClipWindows(CroppedItems[ClipSample]):
@@ -147,6 +153,7 @@ class ClipWindows(CroppedItems[ClipSample]):
         choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
         chosen = expand(choose_clips(rows, subsets, choice, ids=ids), place)
         self._choose_values(levels, clip, amplification, dark_shading, (row.camera for row in chosen))
+        self._opener = PairOpener(source, levels, amplification, self.dark_shading)
         self.layout = Layout.of(chosen)
         self.clips = clips_of(chosen)
         lone = [each.scene for each in self.clips if each.reference is None]
@@ -167,12 +174,11 @@ class ClipWindows(CroppedItems[ClipSample]):
 
     def _check(self, clip: Clip) -> None:
         """Make sure that the frames of a clip belong together."""
-        reference = None if clip.reference is None else self._frame(clip.reference)
-        first = self._frame(clip.frames[0])
-        ratio = self._ratio(first, reference, clip.frames[0])
-        for place, path in enumerate(clip.frames):
-            reference = self._frame(clip.references[place]) if clip.references else reference
-            self._check_frame(self._input(path, reference), path, reference or first, reference, first.name, ratio)
+        open_target = cache(self._opener.open_target)
+        first: OpenedPair | None = None
+        for path, reference in zip(clip.frames, clip.references or (clip.reference,) * len(clip.frames), strict=True):
+            pair = self._open_pair(path, None if reference is None else open_target(reference), first)
+            first = first or pair
 
     @property
     def _may_differ(self) -> bool:
@@ -184,7 +190,7 @@ class ClipWindows(CroppedItems[ClipSample]):
         """The records as a pandas DataFrame, one row per window."""
         import pandas as pd
 
-        return pd.DataFrame([asdict(record) | {"paths": list(record.paths)} for record in self.records])
+        return pd.DataFrame([asdict(record) | {"frames": list(record.frames)} for record in self.records])
 
     def __len__(self) -> int:
         return self._length_of(len(self.records))
@@ -193,99 +199,64 @@ class ClipWindows(CroppedItems[ClipSample]):
         """Draw a crop of window ``place`` modulo their number, or of a grid its crop."""
         number, tile = self._record_of(place, len(self.records))
         record = self.records[number]
-        reference = None if record.reference is None else self._frame(record.reference)
-        first = self._frame(record.path) if reference is None or self.reads_parts else None
-        like = reference or first
-        if like is None:
-            raise DatasetError(f"clip {record.scene}: has no frame")
+        first = self._opener.open_target(record.reference or record.path)
         if self.region is not None:
-            crop = Crop.region(like, self.region)
+            crop = Crop.region(first, self.region)
         else:
-            crop = Crop.draw(like, generator, crop=self.crop, augment=self.augment, tile=tile)
-        shapes: dict[str, tuple[int, ...]] = {"input": (len(record.paths), *crop.packed_shape)}
-        facts = {name: getattr(record, name) for name in ("camera", "scene", "split", "path", "start")}
+            crop = Crop.draw(first, generator, crop=self.crop, augment=self.augment, tile=tile)
+        shapes: dict[str, tuple[int, ...]] = {"input": (len(record.frames), *crop.packed_shape)}
+        facts: dict[str, Any] = {}
         if self._is_paired:
             shapes["target"] = shapes["input"] if record.references else crop.packed_shape
             facts["reference"] = record.reference
-        return DrawnItem(crop, shapes, self._parts(record, reference, first, facts), facts, like.sensor)
+        return DrawnItem(crop, shapes, self._parts(record, first), facts, first.sensor)
 
-    def _parts(
-        self, record: ClipRecord, reference: Frame | None, first: Frame | None, facts: dict[str, Any]
-    ) -> Iterator[Part]:
-        """Yield the reference, then the frames in order; what is of another clip is refused on the way."""
-        known = reference and reference.without_pixels()
-        own = record.references
-        if reference is not None:
-            yield Part("target", reference, 0 if own else None, is_light=True)
-            del reference
-        frame = self._input(record.path, known, first)
-        del first  # as all frames, gone once it was read
-        ratio = self._ratio(frame, known, record.path)
-        gain = math.nan if ratio is None else float(ratio)
-        exposure = frame.exposure
-        times = float(exposure.iso or math.nan), float(exposure.exposure_s or math.nan)
-        facts.update(zip(("ratio", "iso", "exposure_s"), (gain, *times), strict=True))
-        like, name = known or frame.without_pixels(), frame.name
-        for place, path in enumerate(record.paths):
-            if place and own:
-                reference = self._frame(own[place])
-                known = reference.without_pixels()
-                yield Part("target", reference, place, is_light=True)
-                del reference
-            if place:
-                frame = self._input(path, known)
-            if not self.reads_parts:  # else it was checked before
-                self._check_frame(frame, path, like, known, name, ratio)
-            yield Part("input", frame, place, 1.0 if ratio is None else gain)
-            del frame
+    def _parts(self, record: ClipRecord, opened: Frame) -> Iterator[Part]:
+        """Yield each reference before its frames, in order, none of them opened before the one before it was read.
 
-    def _frame(self, path: str) -> Frame:
-        return self.source.frame(path).with_levels(self.levels)
+        ``opened`` is the first reference, or the first frame of a clip without one.
+        """
+        forget = _keep_pixels if self.reads_parts else Frame.without_pixels
+        target, noisy = (opened, None) if record.reference is not None else (None, opened)
+        del opened
+        first: OpenedPair | None = None
+        for place, path in enumerate(record.frames):
+            if target is not None and (not place or record.references):
+                if place:
+                    target = self._opener.open_target(record.references[place])
+                yield Part("target", target, place if record.references else None, is_light=True)
+                target = forget(target)
+            pair = self._open_pair(path, target, first, noisy)
+            noisy = None
+            facts = {} if place else self._facts_of(record, pair)
+            yield Part("input", pair.input, place, pair.gain, facts=facts)
+            first = first or replace(pair, target=forget(pair.target), input=forget(pair.input))
+            del pair
 
-    def _input(self, path: str, reference: Frame | None, opened: Frame | None = None) -> Frame:
-        """Return a frame of a clip as an input, beside its reference if there is one."""
-        frame = (opened or self.source.frame(path)).with_levels(self.levels, reference)
-        return frame if self.dark_shading is None else frame.less(self.dark_shading)
+    def _facts_of(self, record: ClipRecord, pair: OpenedPair) -> dict[str, Any]:
+        """Return the facts that stand in a sample beside its tensors."""
+        facts = {name: getattr(record, name) for name in ("camera", "scene", "split", "path", "start")}
+        exposure, unknown = pair.input.exposure, math.nan
+        facts["ratio"] = unknown if pair.ratio is None else float(pair.ratio)
+        return facts | {"iso": float(exposure.iso or unknown), "exposure_s": float(exposure.exposure_s or unknown)}
 
-    def _check_frame(
-        self, frame: Frame, path: str, like: Frame, reference: Frame | None, first: str, expected: Fraction | None
-    ) -> None:
-        """Raise DatasetError unless a frame is of the clip of another one, and exposed as its first."""
-        if (frame.shape, frame.cfa) != (like.shape, like.cfa):
-            raise DatasetError(f"{frame.name}: {frame.kind}, but {like.name} has {like.kind}; are they of one clip?")
-        ratio = self._ratio(frame, reference, path)
-        if ratio != expected:
-            found, wanted = (math.nan if value is None else float(value) for value in (ratio, expected))
+    def _open_pair(
+        self, path: str, target: Frame | None, first: OpenedPair | None, noisy: Frame | None = None
+    ) -> OpenedPair:
+        """Open a frame of a clip; raise DatasetError unless it is of the clip of the first one, and exposed like it."""
+        pair = self._opener.open_pair(self._row_of[path], target, path, noisy)
+        if first is not None and (pair.input.shape, pair.input.cfa) != (first.input.shape, first.input.cfa):
             raise DatasetError(
-                f"{frame.name}: its exposure ratio is {found:g}, that of {first.rpartition('/')[2]} {wanted:g}; are "
-                "both frames of one clip? (eldata verify finds all such files)"
+                f"{pair.input.name}: {pair.input.kind}, but {first.input.name} has {first.input.kind}; are they of one "
+                "clip?"
             )
-
-    def _ratio(self, frame: Frame, reference: Frame | None, path: str) -> Fraction | None:
-        """Return what a frame is multiplied by: 1 without a reference; ``None`` for RGB, of which no file states it."""
-        from fractions import Fraction
-
-        from eldata.raw.reading import exposure_ratio
-
-        if not frame.cfa or (reference is not None and not reference.cfa):
-            return None
-        if reference is None:
-            return Fraction(1)
-        row = self._row_of[path]
-        if NOMINAL_RATIO in row.flags:
-            return row.ratio
-        ratio = exposure_ratio(reference.header, frame.header)
-        if ratio < 1:
+        if first is not None and pair.ratio != first.ratio:
+            found, wanted = (math.nan if one.ratio is None else float(one.ratio) for one in (pair, first))
             raise DatasetError(
-                f"{frame.name}: is exposed {float(1 / ratio):g} times as much as its reference {reference.name}; are "
-                "they swapped?"
+                f"{pair.input.name}: its exposure ratio is {found:g}, that of {first.input.name.rpartition('/')[2]} "
+                f"{wanted:g}; are both frames of one clip? (eldata verify finds all such files)"
             )
-        if self.amplification == "metadata":
-            return ratio
-        stated = stated_ratio(row, self.amplification)
-        if stated is None:
-            raise ArgumentError(f"{path}: the manifest states no ratio, so amplification must be 'metadata'")
-        return stated
+        return pair
 
     def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is, as names and values."""

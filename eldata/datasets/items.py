@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from itertools import accumulate
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar, get_args
 
 import torch
@@ -101,7 +102,7 @@ class Part(NamedTuple):
     """What is read for an item: the crop of a frame, times ``gain``, into a tensor or one place of it.
 
     ``is_light``: the frame stands for the light itself, so it lies in [0, 1] whatever the dataset's clip, which is of
-    noisy frames.
+    noisy frames. ``facts`` are those of the sample that are known once the frame is open.
     """
 
     tensor: str
@@ -109,6 +110,7 @@ class Part(NamedTuple):
     place: int | None = None
     gain: float = 1.0
     is_light: bool = False
+    facts: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(slots=True, eq=False)
@@ -364,6 +366,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
 
     def _read(self, items: Sequence[DrawnItem], arrays: Mapping[str, NDArray[Any]]) -> None:
         def fill(place: int, part: Part) -> None:
+            items[place].facts.update(part.facts)
             array = arrays[part.tensor][place]
             out, clip = array if part.place is None else array[part.place], "both" if part.is_light else self.clip
             items[place].crop.fill(part.frame, out, clip=clip, gain=part.gain)

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from eldata.datasets.base import SIDES, Sample
+from eldata.datasets.base import Sample
 from eldata.datasets.items import CroppedItems, SharedDraws
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from eldata.datasets.base import PairItem, SourcePairs
+    from eldata.datasets.base import SourcePairs
+    from eldata.datasets.items import DrawnItem
 
 
 class Noise2Noise(CroppedItems[Sample]):
@@ -64,14 +65,14 @@ class Noise2Noise(CroppedItems[Sample]):
     def __len__(self) -> int:
         return len(self._members) * self.pairs.crops_per_frame
 
-    def drawn(self, place: int, generator: np.random.Generator) -> PairItem:
+    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
         """Draw a crop of a pair, and of another pair of its scene."""
         group, place, step = self._members[place % len(self._members)]
         other_place = (place + 1 + int(generator.integers(len(group) - 1))) % len(group)
         item = self.pairs.drawn(self.pairs._indices_of(group[place])[step], generator)
         other = self.pairs.drawn(self.pairs._indices_of(group[other_place])[step], generator)
-        both = zip(SIDES, (item, other), strict=True)
-        item.parts = [part._replace(tensor=side) for side, one in both for part in one.parts if part.tensor == "input"]
+        (mine,), (its,) = ([part for part in one.parts if part.tensor == "input"] for one in (item, other))
+        item.parts = [mine, its._replace(tensor="target", facts={})]
         return item
 
     def _outline(self) -> list[tuple[str, str]]:

@@ -11,7 +11,7 @@ from eldata import __version__
 from eldata.errors import EldataError
 from eldata.evaluation.diagnosis import suspicions_of
 from eldata.evaluation.layouts import Expected, FoundPredictions, dataset_itself, find_predictions, misplaced
-from eldata.evaluation.predictions import other_look
+from eldata.evaluation.predictions import describe_other_look
 from eldata.evaluation.request import (
     SETTINGS,
     Request,
@@ -23,9 +23,9 @@ from eldata.evaluation.request import (
     stated_shading,
 )
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
-from eldata.evaluation.scores import EvaluationProblem, frames_of, place_of
+from eldata.evaluation.score import compared_images, score_predictions
+from eldata.evaluation.scores import EvaluationProblem
 from eldata.evaluation.tasks import task_note
-from eldata.evaluation.units import Contender, compared_images, score_contenders
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.kinds import IMAGES
 from eldata.protocols.protocol import CHOICES, ONE_CAMERAS_LEVELS
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
     from eldata.base.workers import AnyWorkers
     from eldata.evaluation.request import Baseline, ScoringPlan
-    from eldata.evaluation.scores import Pair, UnitScore
+    from eldata.evaluation.score import PairOutcome
+    from eldata.evaluation.scores import Pair
     from eldata.evaluation.tasks import Task, TaskFunction
-    from eldata.evaluation.units import PairScores
     from eldata.protocols.protocol import Protocol
 
 
@@ -198,8 +198,8 @@ def scored_pairs(
     if found.problems and not (allow_missing and found.files):
         more = f" (and {len(found.problems) - 1} more: eldata evaluate lists all)" if len(found.problems) > 1 else ""
         raise EldataError(f"{found.problems[0]}{more}")
-    originals, _ = require_pairs(request, plan.pairs)
-    return compared_images(request, originals, Contender(plan.pairs, None if predictions is None else found.files))
+    files, _ = require_pairs(request, plan.pairs)
+    return compared_images(request, files, plan.pairs, None if predictions is None else found.files)
 
 
 def perform(request: Request) -> EvaluationResult:
@@ -226,28 +226,30 @@ def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
     with first.workers_for(plan.pairs).sharing() as workers:  # processes are started once, for checks and scores
         first = replace(first, workers=workers)
         found = [_found(request, plan) for request in requests]
-        originals, of_whites = require_pairs(first, plan.pairs)
-        contenders = [
-            Contender(
-                plan.pairs if request.allow_missing or not one.problems else (),
-                None if request.predictions is None else one.files,
-            )
+        files, of_whites = require_pairs(first, plan.pairs)
+        predictions = [
+            None if request.predictions is None else one.files if request.allow_missing or not one.problems else {}
             for request, one in zip(requests, found, strict=True)
         ]
-        scored = score_contenders(first, originals, plan.pairs, contenders)
-    results = [_result(request, plan, one, new) for request, one, new in zip(requests, found, scored, strict=True)]
+        outcomes = score_predictions(first, files, plan.pairs, predictions)
+    results = [_result(request, plan, one, of) for request, one, of in zip(requests, found, outcomes, strict=True)]
     return [replace(result, notes=(*result.notes, *of_whites)) for result in results]
 
 
-def _result(request: Request, plan: ScoringPlan, found: FoundPredictions, scored: PairScores) -> EvaluationResult:
-    suspicions = suspicions_of(scored.inspections)
+def _result(
+    request: Request, plan: ScoringPlan, found: FoundPredictions, outcomes: Sequence[PairOutcome]
+) -> EvaluationResult:
+    suspicions = suspicions_of([one.inspection for one in outcomes if one.inspection is not None])
     refused = [EvaluationProblem(str(request.predictions), str(one)) for one in suspicions] if request.strict else []
-    problems = [*found.problems, *scored.problems]
-    scores = scored.scores if not refused and (request.allow_missing or not problems) else {}
-    provenance = provenance_of(request, plan, scored)
+    problems = [*found.problems, *(problem for one in outcomes for problem in one.problems)]
+    scores = {one.path: one.score for one in outcomes if one.score is not None}
+    if refused or (problems and not request.allow_missing):
+        scores = {}
+    provenance = provenance_of(request, plan, outcomes)
     result = EvaluationResult.of(request.protocol, provenance, plan.pairs, scores, [*refused, *problems])
     result = replace(result, suspicions=suspicions)
-    return replace(result, notes=(*shading_notes(request), *notes_of(request.protocol, plan, found, result, scored)))
+    notes = notes_of(request.protocol, plan, found, result, [one for one in outcomes if one.path in scores])
+    return replace(result, notes=(*shading_notes(request), *notes))
 
 
 def _found(request: Request, plan: ScoringPlan) -> FoundPredictions:
@@ -260,7 +262,7 @@ def _found(request: Request, plan: ScoringPlan) -> FoundPredictions:
     if folder is None:
         return FoundPredictions({}, (), 0)
     known, elsewhere = known_places(request), places_elsewhere(request)
-    places = [place_of(pair, frame) for pair in plan.pairs for frame in frames_of(pair)]
+    places = [pair.place(frame) for pair in plan.pairs for frame in pair.frames]
     references: dict[str, str] = {}
     for pair in plan.pairs:
         if isinstance(pair, PairRecord):
@@ -277,7 +279,7 @@ def _found(request: Request, plan: ScoringPlan) -> FoundPredictions:
         allow_missing=request.allow_missing,
         because=_own_pairs(request.protocol.name, plan),
     )
-    reason = other_look(request.protocol, found, request.manifest, folder) if request.kind is IMAGES else None
+    reason = describe_other_look(request.protocol, found, request.manifest, folder) if request.kind is IMAGES else None
     return found if reason is None else FoundPredictions({}, (EvaluationProblem(str(folder), reason),), 0)
 
 
@@ -309,7 +311,11 @@ def shading_notes(request: Request) -> list[str]:
 
 
 def notes_of(
-    protocol: Protocol, plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult, scored: PairScores
+    protocol: Protocol,
+    plan: ScoringPlan,
+    found: FoundPredictions,
+    result: EvaluationResult,
+    outcomes: Sequence[PairOutcome],
 ) -> list[str]:
     """Return what a reader of a result's table should know: of its pairs, its predictions, its levels and factors."""
     notes, scores = [], result.scores
@@ -321,16 +327,15 @@ def notes_of(
     notes += [
         f"{count} predictions of {name} are there too; not scored here" for name, count in found.elsewhere.items()
     ]
-    paths = {score.path for score in scores}
-    bare = [path for path in scored.without_channel_whites if path in paths]
+    bare = [one.path for one in outcomes if one.lacks_channel_whites]
     if bare:
         notes.append(
             f"LibRaw has no white level per channel of the references of {len(bare)} pairs, such as that of {bare[0]}: "
             "the file's one white level was taken"
         )
-    notes += _white_level_notes(result.scores, scored)
+    notes += _white_level_notes(outcomes)
     levels = protocol.levels
-    same = {"metadata", "published"} & {*(scored.equal_choices or {}).get("levels", ())}
+    same = {"metadata", "published"} & set(result.provenance["equal_choices"].get("levels", ()))
     if scores and levels in ONE_CAMERAS_LEVELS and not same:
         other = "others" if levels == "lrid" else "another black level"
         notes.append(
@@ -354,15 +359,15 @@ def notes_of(
     return notes
 
 
-def _white_level_notes(scores: Sequence[UnitScore], scored: PairScores) -> list[str]:
+def _white_level_notes(outcomes: Sequence[PairOutcome]) -> list[str]:
     """Return whose files saturate at another level than the protocol divides by, in one line with all numbers."""
     found: dict[str, set[float]] = {}
     taken_dn = 0.0
-    for score in scores:
-        stated_dn, white_dn = scored.white_levels_dn[score.path] or (0.0, 0.0)
-        if abs(stated_dn - white_dn) > _USUAL_WHITE * white_dn:
+    for one in outcomes:
+        stated_dn, white_dn = one.white_levels_dn or (0.0, 0.0)
+        if one.score is not None and abs(stated_dn - white_dn) > _USUAL_WHITE * white_dn:
             taken_dn = white_dn  # the same of every file
-            found.setdefault(score.camera, set()).add(stated_dn)
+            found.setdefault(one.score.camera, set()).add(stated_dn)
     if not found:
         return []
     whose = ", those of ".join(
@@ -374,12 +379,13 @@ def _white_level_notes(scores: Sequence[UnitScore], scored: PairScores) -> list[
     return [f"the files of {whose}, and the protocol divides by {taken_dn:g}: {own}"]
 
 
-def provenance_of(request: Request, plan: ScoringPlan, scored: PairScores) -> dict[str, Any]:
+def provenance_of(request: Request, plan: ScoringPlan, outcomes: Sequence[PairOutcome]) -> dict[str, Any]:
     """Return what the numbers of a result depend on: versions, manifest, protocol's digest, choice of pairs."""
     import rawpy
 
     manifest, cameras = request.manifest, request.cameras
-    equal = scored.equal_choices or {}
+    choices = [one.equal_choices for one in outcomes if one.equal_choices is not None and one.score is not None]
+    equal = {name: frozenset.intersection(*(of[name] for of in choices)) for name in (choices[0] if choices else ())}
     return {
         "dataset": manifest.name,
         "manifest_version": manifest.card.version,

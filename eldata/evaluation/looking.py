@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from eldata.errors import ArgumentError, PredictionError
-from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
 from eldata.evaluation.layouts import find_predictions
-from eldata.evaluation.originals import Originals
 from eldata.evaluation.request import make_request, plan_scoring, require_folder
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
-from eldata.evaluation.scores import FrameScore, cameras_in_order, natural, place_of, reference_of
+from eldata.evaluation.score import Scoring, as_scored, read_input, read_prediction, read_reference
+from eldata.evaluation.scores import FrameScore, cameras_in_order, natural
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
 from eldata.isp.preview import brightening, preview
 from eldata.manifest.catalogue import FrameFiles
@@ -103,8 +102,8 @@ class ScoredImage:
 
     Attributes
     ----------
-    originals, pair
-        The dataset's frames, and which pair, or window of a clip, it is.
+    dataset, pair
+        The dataset's files, and which pair, or window of a clip, it is.
     frames, files, protocols
         Of each method: the frame with the factor that it was given (of a clip the one with the first method's lowest
         PSNR), its prediction (``None``: the noisy input itself), and how it was scored.
@@ -112,7 +111,7 @@ class ScoredImage:
         The file of what was taken off the inputs, if anything was.
     """
 
-    originals: Originals
+    dataset: FrameFiles
     pair: Pair
     frames: tuple[FrameScore, ...]
     files: tuple[Path | None, ...]
@@ -128,29 +127,21 @@ class ScoredImage:
             If a file is no longer what was scored.
         """
         first, shown = self.protocols[0], self.frames[0].path
-        reference = self._reference()
+        reference = read_reference(self._scoring(first), self.pair.reference_of(shown) or "")
         predictions: list[NDArray[Any]] = []
-        amplified: NDArray[Any] | None = None
-        for index, (frame, protocol) in enumerate(zip(self.frames, self.protocols, strict=True)):
-            compared = self.compared(index, reference)
+        for frame, file, protocol in zip(self.frames, self.files, self.protocols, strict=True):
+            values, _ = read_prediction(self._scoring(protocol), self.pair, frame.path, file, reference)
             factor = 1.0 if math.isnan(frame.rescale) else frame.rescale
-            predictions.append(as_scored(compared.prediction(protocol), protocol.rules, factor, np.float32))
-            if protocol is first and amplified is None and (first.pixels != "srgb" or first.is_of_packed):
-                amplified = compared.input(first)
-        sensor = reference.frame.sensor if first.pixels == "packed" else None
-        return SeenImage(shown, amplified, tuple(predictions), compared.target(first), sensor)
+            predictions.append(as_scored(values, protocol.rules, factor, np.float32))
+        amplified: NDArray[Any] | None = None
+        if first.pixels != "srgb" or first.is_of_packed:
+            amplified, _ = read_input(self._scoring(first), self.pair, shown, reference[0])
+        sensor = reference[0].sensor if first.pixels == "packed" else None
+        return SeenImage(shown, amplified, tuple(predictions), reference[1], sensor)
 
-    def _reference(self) -> Reference:
-        return Reference(self.originals, reference_of(self.pair, self.frames[0].path) or "")
-
-    def compared(self, index: int, reference: Reference | None = None) -> ComparedFrame:
-        """Return the frame as one of the methods was scored on it, by its number; reuses a decoded reference."""
-        protocol, path = self.protocols[index], self.frames[index].path
+    def _scoring(self, protocol: Protocol) -> Scoring:
         shading = None if protocol.dark_shading == NO_SHADING else self.dark_shading
-        job = ScoringJob(Path.cwd(), self.originals, protocol, None, dark_shading=shading)
-        reference = reference or self._reference()
-        noisy = NoisyInput(job, reference, self.pair, path)
-        return ComparedFrame(job, reference, self.pair, noisy, self.files[index])
+        return Scoring(self.dataset, protocol, shading)
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,10 +273,10 @@ def images_of(
         raise ArgumentError(f"expected a folder of predictions per method; found {len(predictions)} for {len(results)}")
     known = {unit.path: unit for unit in results[0].units} if units is None else units
     files_of_set = FrameFiles(dataset_folder) if isinstance(dataset_folder, Path) else dataset_folder
-    protocols, originals = tuple(map(protocol_of, results)), Originals(files_of_set.absolute())
+    protocols, dataset = tuple(map(protocol_of, results)), files_of_set.absolute()
     frames = [_frames_of(of_image) for of_image in scores]
     pairs = [known[of_image[0].path] for of_image in scores]
-    places = [place_of(pair, shown[0].path) for pair, shown in zip(pairs, frames, strict=True)]
+    places = [pair.place(shown[0].path) for pair, shown in zip(pairs, frames, strict=True)]
     files = [None if folder is None else find_predictions(folder, places).files for folder in predictions]
     images = []
     for pair, shown, place in zip(pairs, frames, places, strict=True):
@@ -293,7 +284,7 @@ def images_of(
             if folder is not None and of_method is not None and place not in of_method:
                 raise PredictionError(folder, f"the prediction of {shown[0].path} is gone since it was scored")
         paths = tuple(None if of_method is None else of_method[place].absolute() for of_method in files)
-        images.append(ScoredImage(originals, pair, shown, paths, protocols, dark_shading))
+        images.append(ScoredImage(dataset, pair, shown, paths, protocols, dark_shading))
     return tuple(images)
 
 

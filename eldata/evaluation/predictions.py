@@ -20,22 +20,19 @@ from eldata.base.arrays import declared_array, read_array
 from eldata.base.files import atomic_write, file_problem
 from eldata.errors import ArgumentError, PredictionError, RawFileError
 from eldata.evaluation.layouts import stem_of
-from eldata.evaluation.originals import normalised_frame
-from eldata.evaluation.scores import place_of
 from eldata.protocols.named import protocols_for
 from eldata.raw.levels import pack, packed_shape, with_levels
+from eldata.sources.frames import Frame
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from numpy.typing import NDArray
 
     from eldata.base.arrays import Declared
     from eldata.evaluation.layouts import FoundPredictions
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.clips import ClipRecord
-    from eldata.protocols.protocol import Levels, Protocol, Space
-    from eldata.records import FrameRecord, RawFrame, Sensor
+    from eldata.protocols.protocol import Levels, Protocol
+    from eldata.records import FrameRecord, Sensor
 
 # A prediction near [0, 1] has next to nothing above 2, even where it is an amplified noisy frame with hot pixels.
 _SCALE_LIMIT = 2.0
@@ -91,11 +88,11 @@ def save_clip_prediction(folder: Path | str, record: ClipRecord, prediction: NDA
     EldataError
         If a file cannot be written.
     """
-    if len(prediction) != len(record.paths):
-        raise ArgumentError(f"expected {len(record.paths)} predicted frames, found {len(prediction)}")
+    if len(prediction) != len(record.frames):
+        raise ArgumentError(f"expected {len(record.frames)} predicted frames, found {len(prediction)}")
     return [
-        save_prediction(folder, place_of(record, path), frame)
-        for path, frame in zip(record.paths, prediction, strict=True)
+        save_prediction(folder, record.place(path), frame)
+        for path, frame in zip(record.frames, prediction, strict=True)
     ]
 
 
@@ -123,7 +120,7 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
         what was found and what to do.
     """
     if path.suffix.lower() == ".dng":
-        return normalised_frame(load_dng(path, sensor), levels, clip="none")
+        return load_dng(path, sensor).with_levels(levels).normalise("none")
     values = _floating(read_array(path, partial(_check_raw, path, sensor)))
     if values.ndim == 2:
         values = pack(values, sensor.cfa)
@@ -172,20 +169,6 @@ def load_colours(
     return values
 
 
-def prediction_space(path: Path) -> Space:
-    """Return what a prediction looks to be, by its shape: ``srgb`` with three channels, else ``raw``.
-
-    Raises
-    ------
-    PredictionError
-        If the file cannot be read.
-    """
-    if path.suffix.lower() == ".dng":
-        return "raw"
-    shape = declared_array(path).shape
-    return "srgb" if len(shape) == 3 and 3 in (shape[0], shape[-1]) else "raw"
-
-
 Look = Literal["raw", "binned", "whole"]
 """What predictions look to be: packed raw or mosaics, or renderings of a pixel for each packed one, or for each."""
 
@@ -196,43 +179,38 @@ LOOKS: dict[Look, str] = {
 }
 
 
-def look_wanted(protocol: Protocol) -> Look:
+def _wanted_look(protocol: Protocol) -> Look:
     """Return what a protocol's predictions look to be: LibRaw's renderings are demosaiced, the ELD paper's binned."""
     return "raw" if protocol.pixels != "srgb" else "binned" if protocol.is_of_packed else "whole"
 
 
-def looks_of(found: FoundPredictions, records: Iterable[FrameRecord]) -> Iterator[Look | None]:
-    """Yield what each prediction looks to be that can be read; ``None``: a rendering, of a frame of unknown size."""
-    frames = {record.path: record for record in records}
+def _look_of(file: Path, record: FrameRecord) -> Look:
+    """Return what a prediction looks to be by its shape; raises PredictionError if it cannot be read."""
+    shape = () if file.suffix.lower() == ".dng" else declared_array(file).shape
+    if len(shape) != 3 or 3 not in (shape[0], shape[-1]):
+        return "raw"
+    return "binned" if 2 * math.prod(shape) < 3 * (record.width or 0) * (record.height or 0) else "whole"
+
+
+def describe_other_look(protocol: Protocol, found: FoundPredictions, manifest: Manifest, folder: Path) -> str | None:
+    """Return why a protocol can score none of the predictions in a folder, and which can; ``None`` if it can."""
+    frames = {record.path: record for record in manifest.records}
+    wanted, looks = _wanted_look(protocol), []
     for place, file in found.files.items():
         with suppress(PredictionError):  # it will be among the problems
-            width, height = frames[place].width, frames[place].height
-            if prediction_space(file) == "raw":
-                yield "raw"
-            elif width is None or height is None:
-                yield None
-            else:
-                yield "binned" if 2 * math.prod(declared_array(file).shape) < 3 * width * height else "whole"
-
-
-def other_look(protocol: Protocol, found: FoundPredictions, manifest: Manifest, folder: Path) -> str | None:
-    """Return why a protocol can score none of the predictions in a folder, and which can, if it is so."""
-    wanted = look_wanted(protocol)
-    looks = []
-    for look in looks_of(found, manifest.records):
-        if look == wanted or (look is None and wanted != "raw"):
-            return None
-        looks.append(look)
+            looks.append(_look_of(file, frames[place]))
+            is_known = frames[place].width is not None and frames[place].height is not None
+            if looks[-1] == wanted or (not is_known and "raw" not in (wanted, looks[-1])):
+                return None
     if not looks:
         return None
-    fitting = ("binned", "whole") if looks[0] is None else looks[:1]
-    takers = [one for one in protocols_for(manifest.name) if look_wanted(one) in fitting]
+    takers = [one for one in protocols_for(manifest.name) if _wanted_look(one) == looks[0]]
     takers = [one for one in takers if one.rendering == protocol.rendering] or takers
     names = " or ".join(one.name for one in takers)
     advice = f"give protocol {names}" if names else "give a protocol that scores them: eldata protocols lists all"
     first = next(iter(found.files.values())).relative_to(folder)
-    there = f"{LOOKS[looks[0] or 'whole']}, such as {first}"
-    return f"protocol {protocol.name} scores {LOOKS[wanted]}, and these are {there}; {advice}"
+    these = f"{LOOKS[looks[0]]}, such as {first}"
+    return f"protocol {protocol.name} scores {LOOKS[wanted]}, and these are {these}; {advice}"
 
 
 def _check_raw(path: Path, sensor: Sensor, declared: Declared) -> None:
@@ -312,7 +290,7 @@ def _check_values(path: Path, values: NDArray[Any], cure: str) -> None:
         )
 
 
-def load_dng(path: Path, sensor: Sensor) -> RawFrame:
+def load_dng(path: Path, sensor: Sensor) -> Frame:
     """Load a prediction that is a DNG, with its own levels.
 
     Parameters
@@ -350,4 +328,4 @@ def load_dng(path: Path, sensor: Sensor) -> RawFrame:
             f"expected a mosaic of {sensor.height} x {sensor.width} pixels with CFA {sensor.cfa} like the reference, "
             f"found {frame.mosaic.shape[0]} x {frame.mosaic.shape[1]} with {frame.sensor.cfa}",
         )
-    return frame
+    return Frame.of_decoded(frame)

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from eldata.base.fields import TextFile
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.errors import ArgumentError, DatasetError, EldataError
-from eldata.evaluation.originals import Originals
-from eldata.evaluation.scores import clip_place, files_of, iso_of
 from eldata.evaluation.tasks import Task
 from eldata.manifest.card import find_subset
 from eldata.manifest.catalogue import (
@@ -27,7 +25,7 @@ from eldata.manifest.catalogue import (
     shipped_manifest,
     shipped_names,
 )
-from eldata.manifest.clips import choose_clips, clips_of, windows
+from eldata.manifest.clips import choose_clips, clip_place, clips_of, windows
 from eldata.manifest.drv import Layout
 from eldata.manifest.pair_checks import white_remarks
 from eldata.manifest.pairs import Choice, select_pairs, unpaired
@@ -351,7 +349,7 @@ def _check_shading(protocol: Protocol, pairs: Sequence[Pair], shading: DarkShadi
             f"the dark shading of {shading.camera} is of one body, and {len(cameras)} cameras are scored: "
             f"{', '.join(cameras)}; choose one with --camera (cameras)"
         )
-    for iso in sorted({iso_of(pair) for pair in pairs} - {0.0}):
+    for iso in sorted({float(pair.iso) for pair in pairs if pair.iso}):
         shading.measured(iso)
 
 
@@ -494,21 +492,21 @@ def require_folder(request: Request) -> None:
         )
 
 
-def require_pairs(request: Request, pairs: Iterable[Pair]) -> tuple[Originals, tuple[str, ...]]:
+def require_pairs(request: Request, pairs: Iterable[Pair]) -> tuple[FrameFiles, tuple[str, ...]]:
     """Check the files of these pairs; return their frames' source, and remarks on white levels that differ.
 
     Raise :class:`DatasetError` unless the manifest means them.
     """
-    needed = {path for pair in pairs for path in files_of(pair)}
+    needed = {path for pair in pairs for path in pair.files}
     rows = [row for row in request.manifest.records if row.role in ("noisy", "reference")]
     require_folder(request)
     listed = rows if request.kind is IMAGES else expand(rows, request.folder)
     chosen, files = [row for row in listed if row.path in needed], request.files.absolute()
     levels_dn = check_rows(request, chosen, "metadata")
     if not (request.protocol.is_of_packed and request.protocol.levels == "metadata"):
-        return Originals(files), ()
+        return files, ()
     remarks = white_remarks(chosen, levels_dn, files, request.workers)
-    return Originals(files), tuple(remark.sentence() for remark in remarks)
+    return files, tuple(remark.sentence() for remark in remarks)
 
 
 def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> dict[str, MeanLevels | None]:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import asdict, dataclass, field
-from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from eldata.base.numbers import counted
 from eldata.base.visible import in_line
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
-from eldata.manifest.clips import ClipRecord, moment_of
+from eldata.manifest.clips import ClipRecord
 from eldata.records import PairRecord
-from eldata.sources.frames import stated_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -22,63 +20,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.protocols.kinds import Kind
-    from eldata.protocols.protocol import Amplification
 
-
-# --- what is scored, and where its predictions lie --------------------------------------------------------------------
 
 Pair: TypeAlias = PairRecord | ClipRecord
-
-
-def frames_of(pair: Pair) -> tuple[str, ...]:
-    """Return the noisy frames of a pair or a window."""
-    return pair.paths if isinstance(pair, ClipRecord) else (pair.path,)
-
-
-def files_of(pair: Pair) -> tuple[str, ...]:
-    """Return a pair's frames, or a window's, and what they are compared with."""
-    references = {reference_of(pair, frame) for frame in frames_of(pair)}
-    return (*frames_of(pair), *sorted(filter(None, references)))
-
-
-def name_of(pair: Pair) -> str:
-    """Return what a person calls it: the path of a noisy frame, the number of a clip."""
-    return pair.scene if isinstance(pair, ClipRecord) else pair.path
-
-
-def ratio_of(pair: Pair) -> float | None:
-    """Return the nominal factor of a pair; of windows of clips, only those of sequences state one."""
-    return None if pair.ratio is None else float(pair.ratio)
-
-
-def amplified_by(pair: Pair, amplification: Amplification) -> float | None:
-    """Return what the manifest has an input multiplied by; ``None``: by the files' ratio, as windows of clips are."""
-    ratio = stated_ratio(pair, amplification) if isinstance(pair, PairRecord) else None
-    return None if ratio is None else float(ratio)
-
-
-def iso_of(pair: Pair) -> float:
-    """Return the ISO of a pair's noisy frame; 0 where it is not known, and of windows of clips but sequences'."""
-    return float(pair.iso or 0)
-
-
-def reference_of(pair: Pair, frame: str) -> str | None:
-    """Return what a noisy frame of a pair or a window is compared with, if there is anything."""
-    return pair.reference_of(frame) if isinstance(pair, ClipRecord) else pair.reference
-
-
-def place_of(pair: Pair, frame: str) -> str:
-    """Return where the prediction of a noisy frame lies, but for its extension.
-
-    That is the frame's own path, so that a sequence's predictions are those of its photographs; of another clip,
-    ``<clip>/<name of the frame>``, whatever folders the frame lies in.
-    """
-    return clip_place(pair.scene, frame) if isinstance(pair, ClipRecord) and not pair.references else frame
-
-
-def clip_place(scene: str, frame: str) -> str:
-    """Return where the prediction of a clip's frame lies, by the frame's scene, but for its extension."""
-    return f"{scene}/{PurePosixPath(frame).name}" if moment_of(scene) is None else frame
+"""What is scored: an image, or a window of a clip."""
 
 
 # --- scores -----------------------------------------------------------------------------------------------------------
@@ -115,16 +60,6 @@ class Valued:
     def st_rred(self) -> float:
         """ST-RRED of clips; lower is better."""
         return self.values["st_rred"]
-
-    @property
-    def spatial_rred(self) -> float:
-        """The spatial part of ST-RRED."""
-        return self.values["spatial_rred"]
-
-    @property
-    def temporal_rred(self) -> float:
-        """The temporal part of ST-RRED."""
-        return self.values["temporal_rred"]
 
     @property
     def task(self) -> float:
@@ -293,7 +228,7 @@ def groups_of(items: Sequence[tuple[str, float | None]], dataset: str = "") -> l
 
 def table_of(pairs: Sequence[Pair], scores: Sequence[UnitScore], kind: Kind, dataset: str = "") -> tuple[TableRow, ...]:
     """Return the means over the groups of these pairs, of the dataset of this name."""
-    keys = [(pair.camera, ratio_of(pair)) for pair in pairs]
+    keys = [(pair.camera, pair.nominal_ratio) for pair in pairs]
     rows = []
     for camera, ratio in groups_of(keys, dataset):
         empty = TableRow(camera, ratio, 0, 0, {})

@@ -6,7 +6,9 @@ import inspect
 import math
 import numbers
 import pickle
+import sys
 import traceback
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -69,7 +71,9 @@ class Task:
 
     def __post_init__(self) -> None:
         if isinstance(self.function, type) or not callable(self.function):
-            raise ArgumentError(f"a task is a function of (prediction, reference); {self.function!r:.100} is not one")
+            raise ArgumentError(
+                f"a task is a function of (prediction, reference), or a Task of one; {self.function!r:.100} is neither"
+            )
         check_choice("images", self.images, get_args(TaskImages))
         if not self.label:
             object.__setattr__(self, "label", self.place.rpartition(":")[2].rpartition(".")[2])
@@ -91,13 +95,8 @@ class Task:
         ArgumentError
             If what ``package.module:name`` names cannot be imported, or is not a function of two images.
         """
-        found = named_object(given) if isinstance(given, str) else given
-        if isinstance(found, Task):
-            return found
-        if isinstance(given, str) and (isinstance(found, type) or not callable(found)):
-            kind = "a class" if isinstance(found, type) else type(found).__name__
-            raise ArgumentError(f"{given} is {kind}; a task is a function of (prediction, reference), or a Task of one")
-        return cls(found)
+        task = named_object(given) if isinstance(given, str) else given
+        return task if isinstance(task, Task) else cls(task)
 
     @property
     def place(self) -> str:
@@ -108,28 +107,20 @@ class Task:
     @property
     def _source(self) -> Any:
         """What has a name and a source: of an object, its class."""
-        found: Any = self.function
-        while isinstance(found, partial):
-            found = found.func
-        found = inspect.unwrap(found)
-        return found if hasattr(found, "__qualname__") else type(found)
+        function: Any = inspect.unwrap(self.function.func if isinstance(self.function, partial) else self.function)
+        return function if hasattr(function, "__qualname__") else type(function)
 
     @property
     def provenance(self) -> dict[str, Any]:
         """What decides its values, of plain types; ``None`` where it is not known."""
-        try:
-            file = inspect.getsourcefile(self._source)
-        except TypeError:  # built in
-            file = None
-        stated: str | None = self.version
-        if not stated:
-            try:
-                stated = version(self.place.partition(":")[0].partition(".")[0])
-            except PackageNotFoundError:
-                stated = None
+        module = sys.modules.get(self._source.__module__)
+        file = getattr(module, "__file__", None)
+        stated: str | None = self.version or None
+        with suppress(PackageNotFoundError):
+            stated = stated or version(self.place.partition(":")[0].partition(".")[0])
         return {
             "callable": self.place,
-            "source_sha256": sha256_of(Path(file)) if file is not None and Path(file).is_file() else None,
+            "source_sha256": None if file is None else sha256_of(Path(file)),
             "version": stated,
             "label": self.label,
             "images": self.images,

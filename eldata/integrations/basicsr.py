@@ -117,12 +117,12 @@ class EldataPairs(Dataset[dict[str, Any]]):
     def _read_sample(self, index: int, generator: np.random.Generator) -> dict[str, Any]:
         """Return a sample, in LED's order of steps, each in float32."""
         item = self.pairs.drawn(index, generator)
-        pair = item.pair
-        crop = self._cut(pair.target, item.crop)
         sample: dict[str, Any] = {}
+        facts: dict[str, Any] = {}
         for part in item.parts:
             name = "gt" if part.is_light else "lq"
-            values, black, white = self._read_dn(part.frame, crop)
+            facts |= part.facts
+            values, black, white = self._read_dn(part.frame, self._cut(part.frame, item.crop))
             values -= black
             values /= white - black
             if name == "lq":
@@ -131,16 +131,16 @@ class EldataPairs(Dataset[dict[str, Any]]):
             sample[name] = torch.from_numpy(values)
             if name == self.opt["which_meta"]:
                 sample |= _colours(part.frame.sensor)
-        ratio = torch.tensor(float(pair.ratio), dtype=torch.float32)  # known once the parts have been read
-        return sample | {"ratio": ratio, "lq_path": pair.record.path, "gt_path": pair.record.reference}
+        ratio = torch.tensor(facts["ratio"], dtype=torch.float32)
+        return sample | {"ratio": ratio, "lq_path": facts["path"], "gt_path": facts["reference"]}
 
-    def _cut(self, target: Frame, drawn: Crop) -> Crop:
+    def _cut(self, frame: Frame, drawn: Crop) -> Crop:
         """Return the part of a frame: in training as it was drawn, else its middle."""
         size = self.opt["crop_size"]
         if self.is_training or size is None:
             return drawn
         _, height, width = drawn.packed_shape
-        return Crop.region(target, ((height - size) // 2, (width - size) // 2, size, size))
+        return Crop.region(frame, ((height - size) // 2, (width - size) // 2, size, size))
 
     def _read_dn(self, frame: Frame, crop: Crop) -> tuple[NDArray[np.float32], ...]:
         """Return a part of a frame in DN, (C, h, w), and black and white level of each packed channel, (C, 1, 1)."""

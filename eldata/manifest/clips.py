@@ -70,6 +70,8 @@ class Clip:
         Of a sequence, the reference of each frame; else none.
     iso, ratio
         Of a sequence, as in the manifest; else ``None``.
+    flags
+        Those that every frame has.
     """
 
     scene: str
@@ -81,6 +83,7 @@ class Clip:
     references: tuple[str, ...] = ()
     iso: Fraction | None = None
     ratio: Fraction | None = None
+    flags: tuple[str, ...] = ()
 
     def continuous(self, start: int, stop: int) -> bool:
         """Return whether no number is missing between the frames at these positions."""
@@ -89,19 +92,19 @@ class Clip:
 
 @dataclass(frozen=True, slots=True)
 class ClipRecord:
-    """A window of consecutive frames of a clip.
+    """A window of consecutive frames of a clip; answers to the names of :class:`~eldata.records.PairRecord`.
 
     Attributes
     ----------
-    paths
-        Its frames, POSIX paths relative to the dataset's folder.
+    frames
+        POSIX paths relative to the dataset's folder.
     start
         Position of the first one in the clip.
-    reference, references, iso, ratio
+    reference, references, iso, ratio, flags
         As of :class:`Clip`; ``references`` are those of these frames.
     """
 
-    paths: tuple[str, ...]
+    frames: tuple[str, ...]
     start: int
     reference: str | None
     camera: str
@@ -110,15 +113,44 @@ class ClipRecord:
     references: tuple[str, ...] = ()
     iso: Fraction | None = None
     ratio: Fraction | None = None
+    flags: tuple[str, ...] = ()
 
     @property
     def path(self) -> str:
         """The first frame."""
-        return self.paths[0]
+        return self.frames[0]
 
-    def reference_of(self, path: str) -> str | None:
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The frames and what they are compared with."""
+        return (*self.frames, *sorted({*self.references, *filter(None, (self.reference,))}))
+
+    @property
+    def name(self) -> str:
+        """What messages call it: the clip."""
+        return self.scene
+
+    @property
+    def nominal_ratio(self) -> float | None:
+        """The ratio as a float, if the manifest states one."""
+        return None if self.ratio is None else float(self.ratio)
+
+    def reference_of(self, frame: str) -> str | None:
         """Return what one of its frames is compared with, if there is anything."""
-        return self.references[self.paths.index(path)] if self.references else self.reference
+        return self.references[self.frames.index(frame)] if self.references else self.reference
+
+    def place(self, frame: str) -> str:
+        """Return where the prediction of a frame lies, without its extension.
+
+        In a sequence that is the frame's own path; in another clip ``<clip>/<name of the frame>``, whatever folders the
+        frame lies in.
+        """
+        return frame if self.references else clip_place(self.scene, frame)
+
+
+def clip_place(scene: str, frame: str) -> str:
+    """Return where the prediction of a clip's frame lies, by the frame's scene, without its extension."""
+    return f"{scene}/{PurePosixPath(frame).name}" if moment_of(scene) is None else frame
 
 
 def setting_name(row: FrameRecord) -> str:
@@ -245,7 +277,12 @@ def _clip(scene: str, rows: Sequence[FrameRecord], files: Collection[str]) -> Cl
         )
     (parent,) = parents
     frames = tuple(str(parent / name) for name in sequence.names)
-    return Clip(scene, rows[0].split, rows[0].camera, frames, sequence.numbers, reference)
+    split, camera = rows[0].split, rows[0].camera
+    return Clip(scene, split, camera, frames, sequence.numbers, reference, flags=_shared_flags(rows))
+
+
+def _shared_flags(rows: Sequence[FrameRecord]) -> tuple[str, ...]:
+    return tuple(flag for flag in rows[0].flags if all(flag in row.flags for row in rows))
 
 
 def _sequence(name: str, rows: Sequence[FrameRecord], moments: tuple[int, ...], files: Collection[str]) -> Clip:
@@ -255,7 +292,8 @@ def _sequence(name: str, rows: Sequence[FrameRecord], moments: tuple[int, ...], 
         raise DatasetError(f"clip {name}: expected a file as the reference of each frame; found none of {lone}")
     first = rows[0]
     frames = tuple(row.path for row in rows)
-    return Clip(name, first.split, first.camera, frames, moments, references[0], references, first.iso, first.ratio)
+    facts = first.iso, first.ratio, _shared_flags(rows)
+    return Clip(name, first.split, first.camera, frames, moments, references[0], references, *facts)
 
 
 def frame_range(name: FrameRange, count: int) -> range:
@@ -300,6 +338,7 @@ def windows(clip: Clip, *, length: int, stride: int, frames: FrameRange) -> list
             clip.references[start : start + length],
             clip.iso,
             clip.ratio,
+            clip.flags,
         )
         for start in range(inside.start, inside.stop - length + 1, stride)
         if clip.continuous(start, start + length)

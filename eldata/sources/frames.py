@@ -18,24 +18,29 @@ from eldata.base.arrays import read_rgb16
 from eldata.base.compiled import scratch
 from eldata.errors import ArgumentError, DatasetError, FileError
 from eldata.manifest.catalogue import FrameFiles, known_names
-from eldata.manifest.pair_checks import RATIO_TOLERANCE
-from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.manifest.patterns import find_elsewhere, is_png
-from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
-from eldata.records import Exposure, RawHeader
+from eldata.raw.levels import (
+    CLIP_RANGES,
+    check_in_dn,
+    check_white_in_dn,
+    pack,
+    pack_normalised,
+    packed_black_level_dn,
+    with_levels,
+)
+from eldata.records import Exposure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from fractions import Fraction
 
     from numpy.typing import NDArray
 
     from eldata.manifest.card import Card
     from eldata.noise.dark_shading import DarkShading
-    from eldata.protocols.protocol import Amplification
-    from eldata.raw.levels import CfaRows, FrameLevels
+    from eldata.protocols.protocol import Levels
+    from eldata.raw.levels import CfaRows, Clip
     from eldata.raw.stated import StatedFile
-    from eldata.records import FrameRecord, PairRecord, Sensor
+    from eldata.records import FrameRecord, RawFrame, Sensor
 
 RGB_WHITE = 65535.0
 
@@ -60,7 +65,7 @@ class Pixels(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One frame: pixels that are read part by part, and how they are normalised.
+    """One frame: pixels that are read part by part, and the levels that normalise them.
 
     Attributes
     ----------
@@ -76,6 +81,8 @@ class Frame:
         As the file states them; ``None`` and nothing if no file does.
     channel_white_levels_dn
         As in :class:`eldata.records.RawFrame`.
+    whites_dn
+        The level that is 1 in each CFA channel, where these differ (levels ``metadata-per-channel``); else empty.
     """
 
     mosaic: NDArray[Any] | Pixels = field(repr=False)
@@ -86,6 +93,12 @@ class Frame:
     sensor: Sensor | None = None
     exposure: Exposure = Exposure()  # noqa: RUF009 # frozen
     channel_white_levels_dn: tuple[float, ...] | None = None
+    whites_dn: tuple[float, ...] = ()
+
+    @classmethod
+    def of_decoded(cls, raw: RawFrame) -> Frame:
+        """Return the frame of a decoded raw file, with the levels that the file states."""
+        return cls.of_raw(raw.mosaic, raw.sensor, str(raw.path), raw.exposure, raw.channel_white_levels_dn)
 
     @classmethod
     def of_raw(
@@ -122,25 +135,69 @@ class Frame:
         """White level minus the channels' mean black level."""
         return self.white_level_dn - sum(self.black_level_dn) / len(self.black_level_dn)
 
-    @property
-    def header(self) -> RawHeader:
-        """What the file says of itself."""
-        make, model = ("", "") if self.sensor is None else (self.sensor.make, self.sensor.model)
-        return RawHeader(Path(self.name), make, model, self.exposure)
+    def levels_dn(self, levels: Levels, reference: Frame | None = None) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return black and white level of each CFA channel, DN, by a choice of levels: :meth:`with_levels`."""
+        count = len(self.black_level_dn)
+        if self.sensor is None:
+            return self.black_level_dn, (self.white_level_dn,) * count
+        if levels == "metadata-per-channel":
+            whites = self.channel_white_levels_dn or (self.sensor.white_level_dn,)
+            return self.sensor.black_level_dn, whites if len(set(whites)) > 1 else whites[:1] * count
+        chosen = with_levels(self.sensor, levels, None if reference is None else reference.sensor)
+        return chosen.black_level_dn, (chosen.white_level_dn,) * count
 
-    def with_levels(self, levels: FrameLevels, reference: Frame | None = None) -> Frame:
-        """Return the frame with the chosen levels, beside its reference if it is the noisy one of a pair.
+    def with_levels(self, levels: Levels, reference: Frame | None = None) -> Frame:
+        """Return the frame with the chosen levels; RGB and arrays keep theirs.
 
-        As :func:`eldata.raw.levels.with_levels` has them; RGB and arrays as they are.
+        Parameters
+        ----------
+        levels
+            As :func:`eldata.raw.levels.with_levels` has them; or ``metadata-per-channel``: LibRaw's white level of each
+            channel, where it has none the file's one.
+        reference
+            Of a noisy frame: its reference, whose range counts where the white levels of both differ.
+
+        Raises
+        ------
+        ArgumentError
+            If the levels are unknown.
+        DatasetError
+            If the white level is a constant and the file holds shares of white.
         """
         if self.sensor is None:
             return self
-        chosen = with_levels(self.sensor, levels, None if reference is None else reference.sensor)
-        check_white_in_dn(self.name, self.sensor, chosen.white_level_dn)
-        return replace(self, black_level_dn=chosen.black_level_dn, white_level_dn=chosen.white_level_dn)
+        blacks, whites = self.levels_dn(levels, reference)
+        if levels != "metadata-per-channel":
+            check_white_in_dn(self.name, self.sensor, whites[0])
+        own = whites if len(set(whites)) > 1 else ()
+        return replace(self, black_level_dn=blacks, white_level_dn=whites[0], whites_dn=own)
 
-    def less(self, shading: DarkShading) -> Frame:
-        """Return the frame less a dark shading, in float32 DN: fractions of a DN, and no clip.
+    def normalise(self, clip: Clip = "both", gain: float = 1.0) -> NDArray[np.float32]:
+        """Return all of the frame by its levels: (C, h, w) float32, packed, clipped, amplified and clipped again.
+
+        RGB is divided by 65535, and neither amplified nor clipped. Raises as
+        :func:`eldata.raw.levels.pack_normalised` does.
+        """
+        pixels = self.read(slice(None), slice(None))
+        if not self.cfa:
+            image = np.empty(pixels.shape, np.float32)
+            np.divide(pixels, np.float32(RGB_WHITE), out=image, dtype=np.float32)
+            return image
+        black, in_floats = self.black_level_dn, pixels.dtype.kind == "f"
+        if not self.whites_dn:
+            return pack_normalised(
+                pixels, self.cfa, black, self.white_level_dn, clip=clip, gain=gain, corrected=in_floats
+            )
+        blacks, whites = (packed_black_level_dn(self.cfa, levels)[:, None, None] for levels in (black, self.whites_dn))
+        if not np.all(whites > blacks):
+            raise ArgumentError(f"{self.name}: a white level of {self.whites_dn} DN is not above its black level")
+        low, high = (np.float32(limit) for limit in CLIP_RANGES[clip])
+        packed = (pack(pixels, self.cfa).astype(np.float32) - blacks) / (whites - blacks)
+        np.clip(packed, low, high, out=packed)
+        return packed if gain == 1.0 else np.clip(packed * np.float32(gain), low, high)
+
+    def subtract(self, shading: DarkShading) -> Frame:
+        """Return the frame without a dark shading, in float32 DN: fractions of a DN, and no clip.
 
         Raises
         ------
@@ -161,7 +218,7 @@ class Frame:
             shading.measured(iso)
         except ArgumentError as error:
             raise DatasetError(f"{self.name}: {error}") from error
-        reads = partial(_less_shading, self, shading, iso)
+        reads = partial(_read_without, self, shading, iso)
         return replace(self, mosaic=Pixels(self.shape, np.dtype(np.float32), reads))
 
     def without_pixels(self) -> Frame:
@@ -179,15 +236,9 @@ class Frame:
         return self.read(slice(None), slice(None)).copy()
 
 
-def _less_shading(
-    frame: Frame,
-    shading: DarkShading,
-    iso: float,
-    rows: slice,
-    columns: slice,
-) -> NDArray[np.float32]:
-    """Return a part less the dark shading, which is worked out for it."""
-    taken = scratch("less_shading", part_shape(frame.shape, rows, columns), np.dtype(np.float32))
+def _read_without(frame: Frame, shading: DarkShading, iso: float, rows: slice, columns: slice) -> NDArray[np.float32]:
+    """Read a part, and subtract the dark shading, which is worked out for it."""
+    taken = scratch("subtracted_shading", part_shape(frame.shape, rows, columns), np.dtype(np.float32))
     shading.at(iso, rows, columns, out=taken)
     np.subtract(frame.read(rows, columns), taken, out=taken)
     return taken
@@ -253,7 +304,7 @@ class Files:
         """
         from eldata.raw.reading import read_raw
 
-        file = self._files.at(path) if isinstance(self._files, FrameFiles) else self._files.get(path, Path(path))
+        file = self._at(path)
         try:
             if is_png(path) and isinstance(file, Path):
                 return Frame.of_rgb(read_rgb16(file).transpose(2, 0, 1), str(file))
@@ -262,7 +313,28 @@ class Files:
             if self._card is not None and isinstance(self._files, FrameFiles):
                 self._require_folders(self._files.folder, self._card, path)
             raise
-        return Frame.of_raw(raw.mosaic, raw.sensor, str(raw.path), raw.exposure, raw.channel_white_levels_dn)
+        return Frame.of_decoded(raw)
+
+    def _at(self, path: str) -> Path | StatedFile:
+        return self._files.at(path) if isinstance(self._files, FrameFiles) else self._files.get(path, Path(path))
+
+    def packed_file(self, path: str) -> Path | None:
+        """Return the file of a packed array, such as synthetic noise is saved in; ``None`` of other frames."""
+        file = self._at(path) if path.endswith(".npy") else None
+        return file if isinstance(file, Path) else None
+
+    def outline(self, path: str, like: Frame, levels: Levels) -> Frame:
+        """Return a reference without pixels: from its header where that decides the values of the noisy frame ``like``.
+
+        Else, where its white level may be another one, it is decoded.
+        """
+        from eldata.raw.reading import read_header
+
+        header = read_header(self._at(path))
+        is_alike = header.levels_dn is not None and header.levels_dn[1] == like.white_level_dn
+        if levels == "metadata" and not is_alike:
+            return self.frame(path).without_pixels()
+        return replace(like.without_pixels(), name=str(header.path), exposure=header.exposure)
 
     def _require_folders(self, folder: Path, card: Card, path: str) -> None:
         """Raise if the set's folder is missing, a file lies elsewhere in it, or the folder of its camera is missing."""
@@ -287,37 +359,3 @@ def no_folder(folder: Path, card: Card, holds: Iterable[str]) -> DatasetError:
         f"{folder}: there is no such folder; give the folder of {card.title}, which holds {', '.join(holds)} "
         f"(where to get it: {card.homepage}{commands if known else ''})"
     )
-
-
-def checked_ratio(record: PairRecord, reference: Frame, noisy: Frame) -> Fraction:
-    """Return the exposure ratio that a pair's files state; the manifest's if they state none (:data:`NOMINAL_RATIO`).
-
-    Raises
-    ------
-    DatasetError
-        If it is more than a tenth off the manifest's, or the frames differ in size or CFA.
-    RawFileError
-        If a raw file states no ISO or exposure time.
-    """
-    from eldata.raw.reading import exposure_ratio
-
-    states_none = noisy.sensor is None or NOMINAL_RATIO in record.flags
-    ratio = record.ratio if states_none else exposure_ratio(reference.header, noisy.header)
-    differs = abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio
-    if differs and UNCERTAIN_ISO not in record.flags:
-        raise DatasetError(
-            f"{noisy.name}: expected an exposure ratio of {float(record.ratio):g} to {record.reference}, found "
-            f"{float(ratio):g}; are both the frames that their names say? (eldata verify finds all such files)"
-        )
-    if (noisy.shape, noisy.cfa) != (reference.shape, reference.cfa):
-        raise DatasetError(
-            f"{noisy.name}: {noisy.shape} pixels, CFA {noisy.cfa}, but its reference {record.reference} has "
-            f"{reference.shape}, {reference.cfa}"
-        )
-    return ratio
-
-
-def stated_ratio(record: PairRecord | FrameRecord, amplification: Amplification) -> Fraction | None:
-    """Return the ratio that the manifest has for a way to amplify; ``None`` if files are to say it, or it has none."""
-    is_manifests = amplification == "nominal" or NOMINAL_RATIO in record.flags
-    return record.ratio if is_manifests else None

@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shlex
-import subprocess
-import sys
-import threading
 import zipfile
 from functools import partial
 from pathlib import Path
@@ -17,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 
-from eldata.base.files import try_lock, write_json
 from eldata.baselines import NetworkDenoiser, Training, UNet, clip_error, load_network, save_network
 from eldata.baselines.noisy_frames import mirrored_window
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
@@ -34,7 +28,6 @@ from eldata.manifest.clips import Clip
 from eldata.manifest.drv import scan_raw
 from tests.cases import in_one_test
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -42,18 +35,6 @@ if TYPE_CHECKING:
     from eldata.baselines.noisy_frames import NoisyFrame
 
 ROOT = Path(__file__).parents[2]
-MORTAL = """
-import os, signal
-
-left = int(os.environ.get("DIES_AT", "1000"))
-
-def network(window):
-    global left
-    left -= 1
-    if not left:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return 0.5 * window[:, 2]
-"""
 HERE = "tests.baselines.test_clips"
 CLIPS = ("0007", "0013")
 SIZE = (48, 56)
@@ -106,16 +87,6 @@ def test_of_a_still_it_is_the_published_loss() -> None:
     assert consistent_error(first, second, clean, clean).item() == pytest.approx(expected.item(), rel=1e-12)
     moved = consistent_error(first + 1, second + 1, first, second, weight=7.0)
     assert moved.item() == pytest.approx(2.0, rel=1e-12)
-
-
-def test_batches_that_make_no_two_windows_are_refused() -> None:
-    batch = {"input": torch.zeros(2, 5, 4, 8, 8), "target": torch.zeros(2, 4, 8, 8)}
-    with pytest.raises(ArgumentError, match=r"clips of 6 frames or more, .*; found \(2, 5, 4, 8, 8\)"):
-        clip_error(UNet(width=4, depth=1, frames=5), batch, window=5)
-    with pytest.raises(ArgumentError, match="number is odd; found 4"):
-        clip_error(UNet(width=4, depth=1, frames=5), batch, window=4)
-    with pytest.raises(ArgumentError, match="weight is 0 or more"):
-        clip_error(UNet(width=4, depth=1), batch, window=1, weight=-1.0)
 
 
 # --- the network ------------------------------------------------------------------------------------------------------
@@ -297,33 +268,6 @@ def test_a_clip_that_was_begun_goes_on_frame_by_frame(drv: SmallDrv, tmp_path: P
         write_predictions(load_network(f"{HERE}:later", multiple=1), "", out, **of_set(drv))
 
 
-@pytest.mark.study
-def test_a_command_that_was_killed_goes_on_and_scores(drv: SmallDrv, tmp_path: Path) -> None:
-    """kill -9 as the network gets its fourth window; then the same command."""
-    (tmp_path / "mine.py").write_text(MORTAL, encoding="utf-8")
-    out = tmp_path / "p"
-    choice = ["--manifest", str(drv.csv), "--root", str(drv.root), "--clip", "0007", "--clip", "0013"]
-    command = [sys.executable, "-m", "eldata.cli.main", "predict", "mine:network", "--window", "3", "--multiple", "1"]
-
-    def run(**variables: str) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
-        options: dict[str, Any] = {"capture_output": True, "text": True, "timeout": PATIENCE_S, "cwd": tmp_path}
-        return subprocess.run([*command, *choice, "-o", str(out), "--device", "cpu"], env=environment, **options)
-
-    killed = run(DIES_AT="6")  # of which two are of the fixed input by which its folder knows it
-    assert killed.returncode == -9
-    assert len(list(out.rglob("*.npy"))) == 3
-    done = run()
-    assert done.returncode == 0, done.stderr
-    first, second = done.stdout.splitlines()
-    assert first == f"7 frames predicted, 3 were there: {out}"
-    assert second.endswith("--clip 0007 --clip 0013")
-    write_predictions(load_network(f"{HERE}:later", window=3, multiple=1), "", tmp_path / "q", **of_set(drv))
-    for file in sorted(out.rglob("*.npy")):
-        assert file.read_bytes() == (tmp_path / "q" / file.relative_to(out)).read_bytes()
-    assert main(shlex.split(second.removeprefix("to score: "))[1:]) == 0
-
-
 # --- what networks state ----------------------------------------------------------------------------------------------
 
 
@@ -409,50 +353,6 @@ def test_what_makes_a_network_and_what_is_one() -> None:
 
 
 # --- two at once ------------------------------------------------------------------------------------------------------
-
-
-def test_of_two_works_that_begin_one_folder_at_once_one_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The second one comes just before the first one writes what it does. Locks are of open files: threads will do."""
-    pytest.importorskip("fcntl")
-    come, decides = threading.Event(), threading.Event()
-    inside: list[str] = []
-    refused: list[str] = []
-
-    def waiting(file: Any, **options: bool) -> bool | None:
-        if threading.current_thread() is second and options.get("wait"):
-            decides.set()
-        return try_lock(file, **options)
-
-    def write_slowly(*given: Any) -> None:
-        come.set()
-        if threading.current_thread() is second:  # nothing kept it from writing, too
-            decides.set()
-        assert decides.wait(PATIENCE_S)
-        write_json(*given)
-
-    def work(name: str) -> None:
-        if name == "second":
-            come.wait()
-        try:
-            with begun(tmp_path / "p", {"schema": 1, "denoiser": name}):
-                inside.append(name)
-                if name == "first":
-                    second.join(timeout=PATIENCE_S)
-        except ArgumentError as error:
-            refused.append(str(error))
-
-    monkeypatch.setattr("eldata.baselines.prediction_folder.write_json", write_slowly)
-    monkeypatch.setattr("eldata.baselines.prediction_folder.try_lock", waiting)
-    first, second = (threading.Thread(target=work, args=(name,)) for name in ("first", "second"))
-    second.start()
-    first.start()
-    first.join(timeout=PATIENCE_S)
-    assert inside == ["first"]
-    assert json.loads((tmp_path / "p" / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "first"
-    assert len(refused) == 1
-    assert "was started with denoiser first, now second" in refused[0]
 
 
 def test_the_same_work_may_be_done_by_several(tmp_path: Path) -> None:

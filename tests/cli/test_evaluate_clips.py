@@ -84,7 +84,7 @@ def test_json_csv_and_tables(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_
 def test_the_noisy_input(eldata: Cli, drv: SmallDrv, tmp_path: Path) -> None:
     """It equals the score of the frames themselves, saved as predictions."""
     for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
-        save_clip_prediction(tmp_path / "own", record, np.stack([rgb_frame(drv.data / path) for path in record.paths]))
+        save_clip_prediction(tmp_path / "own", record, np.stack([rgb_frame(drv.data / path) for path in record.frames]))
     text = run(eldata, drv, "--baseline", "input", *CHOSEN)
     assert text == run(eldata, drv, tmp_path / "own", *CHOSEN)
     baseline = evaluate(None, manifest=drv.csv, root=drv.root, ids=["0007", "0013"], baseline="input")

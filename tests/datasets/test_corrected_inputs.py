@@ -117,7 +117,7 @@ def test_a_shading_that_is_not_the_inputs(tree: Tree, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="not measured at ISO 3200"):  # before an item is read
         PackedStore(store, cameras=["DemoBeta"], dark_shading=shading_of(sensor, (800, 1600)))
     with pytest.raises(DatasetError, match=r"f: states no ISO, and the dark shading of Planted differs by ISO"):
-        Frame.of_raw(beta.mosaic, sensor, "f", Exposure()).less(right)
+        Frame.of_raw(beta.mosaic, sensor, "f", Exposure()).subtract(right)
     write_rgb_clip(tmp_path / "drv", "0001", 5)
     with pytest.raises(DatasetError, match="is not a raw frame in DN"):
         DRVDataset(tmp_path / "drv", ids=["0001"], dark_shading=right)[0]

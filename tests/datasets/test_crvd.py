@@ -13,7 +13,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from eldata import evaluate
 from eldata.datasets import CRVDDataset, PairDataset
 from eldata.errors import ArgumentError, ManifestError
-from eldata.evaluation.frames import cut_to_dn
+from eldata.evaluation.score import cut_to_dn
 from eldata.manifest import shipped_manifest, verify
 from eldata.manifest.writing import save_manifest
 from eldata.protocols import get_protocol

@@ -89,7 +89,7 @@ def test_items_are_the_files_pixels(drv: SmallDrv) -> None:
         assert sample["camera"] == "SonyRX100M6"
         assert all(math.isnan(sample[name]) for name in ("ratio", "iso", "exposure_s"))
         assert torch.equal(sample["target"].expand_as(sample["input"])[3], sample["target"])
-        assert dataset.records[index].paths[0] == sample["path"]
+        assert dataset.records[index].frames[0] == sample["path"]
     (batch,) = DataLoader(dataset, batch_size=4)
     assert torch.equal(batch["input"], torch.stack([sample["input"] for sample in dataset]))
 
@@ -99,7 +99,7 @@ def test_windows_strides_and_ranges(drv: SmallDrv) -> None:
     authors = opened(drv, window=1, frames="authors", ids=["0013"])
     assert numbers_of(record.path for record in authors.records) == [5, 6, 7, 8, 9, 10]  # range(4, 13 - 3)
     evaluation = opened(drv, frames="evaluation")
-    assert [numbers_of(record.paths) for record in evaluation.records] == [[5, 6, 7, 8, 9]] * 2
+    assert [numbers_of(record.frames) for record in evaluation.records] == [[5, 6, 7, 8, 9]] * 2
     whole = opened(drv, window=FRAMES)
     assert whole[0]["input"].shape == (FRAMES, 3, HEIGHT, WIDTH)
 
@@ -132,7 +132,7 @@ def test_damage_is_named(drv: SmallDrv, tmp_path: Path) -> None:
     copy = replace(drv, root=tmp_path)
     frame = tmp_path / "DRV/VBM4D_rawRGB/0007/0002.png"
     write_png(frame, rgb_frame_of("0007", 2, (40, 40)))
-    with pytest.raises(DatasetError, match=r"0002\.png: 40 x 40 pixels of RGB.*has 48 x 56"):
+    with pytest.raises(DatasetError, match=r"0002\.png: has 40 x 40 pixels of RGB.*has 48 x 56"):
         opened(copy)[0]
     write_png(frame, rgb_frame_of("0007", 2).astype(np.uint8))
     with pytest.raises(FileError, match="expected a 16-bit RGB PNG, found 8-bit RGB"):

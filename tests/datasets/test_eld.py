@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -119,9 +118,9 @@ def test_sizes_that_differ(tree: Tree, tmp_path: Path) -> None:
     reference = read_raw(tree.file(6))
     cropped = replace(reference.sensor, height=62)
     write_dng(tree.file(6), reference.mosaic[:62], cropped, reference.exposure)
-    with pytest.raises(DatasetError, match=re.escape("(64, 96)")) as raised:
+    with pytest.raises(DatasetError, match="has 64 x 96 pixels") as raised:
         demo(tree)[0]
-    assert "(62, 96)" in str(raised.value)
+    assert "has 62 x 96 pixels" in str(raised.value)
     assert frame(6) in str(raised.value)
 
 

@@ -110,7 +110,11 @@ def test_two_noisy_frames_have_one_place(tmp_path: Path) -> None:
     each = len(pairs) // len(pairs.records)
     assert len(noisy) % each == 0
     assert each > 1
-    places = {(item.pair.record.path, str(item.crop.slices)) for item in map(noisy.item, range(len(noisy)))}
+    inputs = [
+        (item.crop, [part for part in item.parts if part.tensor == "input"])
+        for item in map(noisy.item, range(len(noisy)))
+    ]
+    places = {(part.facts["path"], str(crop.slices)) for crop, (part,) in inputs}
     assert len(places) == len(noisy)
     item = noisy.item(each + 1)
     assert str(item.crop.slices) in {str(pairs.item(index).crop.slices) for index in range(len(pairs))}

@@ -43,7 +43,8 @@ def test_each_item_is_two_exposures_of_one_place(pairs: PackedStore) -> None:
     assert max(map(len, bursts.values())) > 2
     assert len(noisy) == 3 * sum(len(burst) for burst in bursts.values() if len(burst) > 1)
     frames = {record.path: number for number, record in enumerate(pairs.records)}
-    opened = {id(pairs.drawn(n, np.random.default_rng(0)).pair.input): pairs.records[n] for n in frames.values()}
+    parts = [[*pairs.drawn(n, np.random.default_rng(0)).parts][1] for n in frames.values()]
+    opened = {id(part.frame): pairs.records[n] for n, part in enumerate(parts)}
     met = set()
     for index in range(len(noisy)):
         item = noisy.item(index)
@@ -54,10 +55,9 @@ def test_each_item_is_two_exposures_of_one_place(pairs: PackedStore) -> None:
         sample = noisy[index]
         assert sample["path"] == one.path
         for side, record in (("input", one), ("target", other)):
-            pair = pairs.drawn(frames[record.path], np.random.default_rng(0)).pair
+            part = parts[frames[record.path]]
             expected = np.empty(item.crop.packed_shape, np.float32)
-            assert pair.input is not None
-            item.crop.fill(pair.input, expected, clip="none", gain=float(pair.ratio))
+            item.crop.fill(part.frame, expected, clip="none", gain=part.gain)
             np.testing.assert_array_equal(sample[side].numpy(), expected)  # type: ignore[literal-required]
         assert not torch.equal(sample["input"], sample["target"])
     assert len(met) > len(noisy) // 3  # three crops of a frame seldom have one and the same target

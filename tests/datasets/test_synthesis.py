@@ -382,7 +382,7 @@ def test_clips_are_drawn_once_each_and_load_as_clips(tmp_path: Path) -> None:
     windows = ClipWindows(Files(folder, manifest.records), manifest.records, (), folder, window=4, clip="none")
     assert len(windows) == 6
     order = {one["path"]: int(Path(one["clean"]).stem) for one in frames}
-    assert all([order[path] for path in record.paths] == [8, 9, 10, 11] for record in windows.records)
+    assert all([order[path] for path in record.frames] == [8, 9, 10, 11] for record in windows.records)
     for item in windows:
         noise = (item["input"] - item["target"]).reshape(4, -1).numpy()
         # Of noise that is drawn afresh the correlation is 0 to 1 / sqrt(9216); rows' and the bias's are a part of it.

@@ -6,7 +6,6 @@ import zlib
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from fractions import Fraction
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +28,7 @@ from tests.raw.helpers import BAYER, CFAS, indices_of, is_xtrans, levels_of, ref
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -518,25 +518,6 @@ def test_renderings_in_each_phase(sid: Pairs, tmp_path: Path) -> None:
     assert_published_renderings(sid, tmp_path, codes)
 
 
-@pytest.fixture(scope="module")
-def large_fuji(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
-    """One scene: LibRaw does not demosaic X-Trans pictures with a side under 512."""
-    return build(
-        "sid-fuji",
-        tmp_path_factory.mktemp("large-fuji"),
-        lambda record: every_sid(record) and record.scene == "10145",
-        sensor=fuji_at,
-        sizes=((514, 520),),
-        drift_dn=(0.0,) * 3,
-        dark=None,
-    )
-
-
-@pytest.mark.study
-def test_renderings_of_xtrans(large_fuji: Pairs, tmp_path: Path) -> None:
-    assert_published_renderings(large_fuji, tmp_path, save_renderings(large_fuji, tmp_path))
-
-
 # --- where the package differs from the code --------------------------------------------------------------------------
 
 
@@ -544,45 +525,8 @@ def fractional_at(number: int, camera: str, size: tuple[int, int]) -> Sensor:
     return replace(sensor_at(number, camera, size), black_level_dn=(509.0, 515.5, 600.0, 2047.0))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="the code has black levels from LibRaw, which cuts 515.5 to 515; here it is the DNG's 515.5",
-)
-@pytest.mark.parametrize("name", ["eld", "led-eld", "lrd-eld"])
-def test_black_levels_that_are_not_whole(name: str, tmp_path: Path) -> None:
-    assert_published(build("eld", tmp_path, some_eld, sensor=fractional_at), name)
-
-
 def test_protocols_with_a_black_level_of_their_own_do_not_mind_the_files(tmp_path: Path) -> None:
     assert_published(build("eld", tmp_path, some_eld, sensor=fractional_at), "pmn-eld")
-
-
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="LRD's code has white 65535 for every file of its own set, and exchanges the black levels of B and one G",
-)
-@pytest.mark.parametrize("levels", [((1024.0,) * 4, 65000.0), ((1024.0, 1025.0, 1030.0, 1023.0), 65535.0)])
-def test_levels_of_lrds_own_set(levels: tuple[tuple[float, ...], float], tmp_path: Path) -> None:
-    def sensor(number: int, camera: str, size: tuple[int, int]) -> Sensor:
-        return replace(lrd_at(number, camera, size), black_level_dn=levels[0], white_level_dn=levels[1])
-
-    assert_published(build_lrd(tmp_path, sensor), "lrd-lrd")
-
-
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="the ELD code has black 1024 for every X-Trans file; protocol sid takes the file's, as for Bayer",
-)
-@pytest.mark.parametrize("name", published_code.XTRANS)
-def test_black_levels_of_xtrans(name: str, tmp_path: Path) -> None:
-    def sensor(number: int, camera: str, size: tuple[int, int]) -> Sensor:
-        return replace(fuji_at(number, camera, size), black_level_dn=(1022.0,) * 3)
-
-    pairs = build("sid-fuji", tmp_path, some_fuji, sensor=sensor, sizes=XTRANS_SIZES, drift_dn=(0.0,) * 3)
-    assert_published(pairs, name, published_code.XTRANS)
 
 
 # --- no protocol is left out ------------------------------------------------------------------------------------------
@@ -600,17 +544,16 @@ def test_every_shipped_protocol_is_compared() -> None:
 
 
 def test_levels_per_channel_may_differ_between_channels() -> None:
-    from eldata.evaluation.originals import normalised_frame
-    from eldata.records import RawFrame
+    from eldata.sources.frames import Frame
 
     sensor = sensor_of((8, 12))
     mosaic = mosaic_of("x", (8, 12), bright=True)
     whites = (15000.0, 15100.0, 14900.0, 15200.0)
-    frame = RawFrame(Path("x"), mosaic, replace(sensor), Exposure(), whites)  # no file is read
+    frame = Frame.of_raw(mosaic, sensor, "x", Exposure(), whites).with_levels("metadata-per-channel")
     packed = oracle.pack(mosaic.astype(np.float64), sensor.cfa_pattern.astype(np.int64))
     black = np.array(sensor.black_level_dn)[:, None, None]
     expected = (packed - black) / (np.array(whites)[:, None, None] - black)
     for clip, low, high in (("both", 0, 1), ("upper", -np.inf, 1), ("none", -np.inf, np.inf)):
-        found = normalised_frame(frame, "metadata-per-channel", clip=clip, gain=3.0)  # type: ignore[arg-type] # one of three
+        found = frame.normalise(clip, gain=3.0)  # type: ignore[arg-type] # one of three
         assert found.dtype == np.float32
         np.testing.assert_allclose(found, np.clip(3 * np.clip(expected, low, high), low, high), rtol=1e-5, atol=1e-6)

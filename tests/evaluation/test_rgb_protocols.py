@@ -20,7 +20,6 @@ from eldata.errors import ArgumentError
 from eldata.evaluation import evaluate, load_result, save_prediction
 from eldata.evaluation.looking import protocol_of
 from eldata.evaluation.request import SETTINGS
-from eldata.integrations.torchmetrics import ProtocolScore
 from eldata.manifest.table import load_records, save_records
 from eldata.protocols import PROTOCOLS
 from eldata.raw import read_raw, write_dng
@@ -181,15 +180,6 @@ def test_a_network_of_other_channels_is_refused(own: OwnSet, tmp_path: Path) -> 
             load_network(f"{__name__}:Same"), "", tmp_path / "p", **own.where,
             protocol="sid2018",
         )  # fmt: skip
-
-
-def test_tensors_of_renderings_are_scored(own: OwnSet) -> None:
-    image = shown(own, "s0/clean.dng", "s0/x50.dng")
-    target = published_code.eld_rendered(packed(own.files / "s0/clean.dng"), own.files / "s0/clean.dng")
-    metric = ProtocolScore(PROTOCOLS["eld-raw2rgb"])
-    metric.update(torch.from_numpy(image), torch.from_numpy(target.astype(np.float32)))
-    score = published_code.eld_rgb_score(image, packed(own.files / "s0/clean.dng"), own.files / "s0/clean.dng")
-    assert float(metric.compute()["psnr_db"]) == pytest.approx(score.psnr_db, abs=1e-5)
 
 
 # --- response curves --------------------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -146,11 +145,3 @@ def test_what_is_missing_is_said_before_anything_is_read(own: OwnSet, tmp_path: 
     assert [record.path for _, _, record in found] == ["s0/x100.dng", "s1/x100.dng"]
     with pytest.raises(ArgumentError, match="a folder of predictions or a baseline"):
         scored_pairs(None, **own.where)
-
-
-def test_cameras_and_region_are_those_that_are_asked_for(own: OwnSet) -> None:
-    with pytest.raises(ArgumentError, match="no pair has camera Other"):
-        scored_pairs(None, **own.where, baseline="input", cameras=["Other"])
-    chosen = replace(PROTOCOLS["eld"], region="border-4", rescaling="none")
-    (first, *_) = scored_pairs(own.root.parent / "preds", **own.where, protocol=chosen)
-    assert first[0].shape == (4, 22, 34)

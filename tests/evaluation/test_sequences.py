@@ -104,7 +104,7 @@ def test_sequences_are_scored_as_film(
     for record in dataset.records:
         video = videos[record.scene]
         assert video["frames"] == MOMENTS
-        compare_with_the_published_code(video, made / "data" / "Mine", record.paths, record.references)
+        compare_with_the_published_code(video, made / "data" / "Mine", record.frames, record.references)
     by_factor = {f: np.mean([v["st_rred"] for s, v in videos.items() if f"-x{f}" in s]) for f in (1, 100)}
     assert by_factor[1] < by_factor[100]
 
@@ -146,7 +146,7 @@ def test_predictions_of_photographs_are_those_of_the_film(made: Path, tmp_path: 
         assert sample["input"].shape == sample["target"].shape == (MOMENTS, 4, 128, 192)
         assert len({target.numpy().tobytes() for target in sample["target"]}) == MOMENTS
         for place, path in enumerate(save_clip_prediction(tmp_path, record, sample["target"].numpy())):
-            assert path == tmp_path / Path(record.paths[place]).with_suffix(".npy")
+            assert path == tmp_path / Path(record.frames[place]).with_suffix(".npy")
             with rawpy.imread(str(made / "data" / "Mine" / record.references[place])) as raw:
                 expected = published_code.eld_frame(raw, white=None)
             np.testing.assert_allclose(sample["target"][place].numpy(), expected, atol=1e-6)

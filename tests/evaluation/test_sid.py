@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from typing import TYPE_CHECKING
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.cli.main import main
 from eldata.evaluation import EvaluationResult, evaluate, save_prediction
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs
@@ -71,15 +69,6 @@ def test_the_table_has_the_means_of_each_factor(
             assert row.values[value] == pytest.approx(np.mean([one.values[value] for one in members]), rel=1e-12)
 
 
-def test_the_table_has_a_column_for_each_factor(results: dict[str, EvaluationResult]) -> None:
-    result = results["sid-sony"]
-    header, _, pairs, psnr, ssim = (line.split() for line in result.format_table().splitlines())
-    assert header == ["SonyA7S2", "x100", "x250", "x300", "all"]
-    assert pairs == ["pairs", "40", "40", "49", "129"]
-    assert psnr == ["PSNR", "[dB]", *(f"{row.psnr_db:.2f}" for row in result.table)]
-    assert ssim == ["SSIM", *(f"{row.ssim:.3f}" for row in result.table)]
-
-
 def test_the_table_says_which_pairs(results: dict[str, EvaluationResult]) -> None:
     first = {name: result.format_text().splitlines()[0] for name, result in results.items()}
     assert first == {
@@ -98,27 +87,6 @@ def test_misaligned_scenes_can_be_left_out(root: Path, predictions: Path, result
     assert found.provenance["excluded_flags"] == {"misaligned": 5}
     assert "124 of 124 pairs, subset eval-first, without misaligned (5)" in found.format_text()
     assert "5 predictions" in found.notes[0], "theirs are not scored, and not extra"
-
-
-def test_another_subset(root: Path, predictions: Path, results: dict[str, EvaluationResult]) -> None:
-    found = evaluate(predictions / "sid-sony", "sid-sony", root=root, subset="indoor-15")
-    assert [row.pairs for row in found.table] == [15, 15, 15, 45]
-    assert set(found.images) <= set(results["sid-sony"].images)
-    assert found.format_text().startswith("sid-sony, protocol sid: 45 of 45 pairs, subset indoor-15\n")
-
-
-def test_the_command(root: Path, predictions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["evaluate", str(predictions / "sid-sony"), "--dataset", "sid-sony", "--root", str(root)]
-    arguments += ["--subset", "test-first", "--exclude", "misaligned", "--jobs", "1"]
-    assert main([*arguments, "--json", str(tmp_path / "scores.json"), "--protocol", "sid-uncorrected"]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith(
-        "sid-sony, protocol sid-uncorrected: 88 of 88 pairs, subset test-first, without misaligned (5)\n"
-    )
-    data = json.loads((tmp_path / "scores.json").read_text(encoding="utf-8"))
-    assert data["provenance"]["subset"] == "test-first"
-    assert data["provenance"]["excluded_flags"] == {"misaligned": 5}
-    assert {image["rescale"] for image in data["images"]} == {1.0}
 
 
 # --- one folder for both cameras ----------------------------------------------------------------------------------
@@ -142,14 +110,6 @@ def test_predictions_of_the_other_camera_are_noted_and_left_out(
     assert set(found.notes) - set(results[name].notes) == {
         f"{count} predictions of {other} are there too; not scored here"
     }
-
-
-def test_what_is_of_neither_camera_is_still_a_problem(root: Path, both: Path, tmp_path: Path) -> None:
-    shutil.copytree(both, tmp_path / "preds", copy_function=os.link)
-    odd = tmp_path / "preds/Fuji/short/10005_99_0.04s.npy"
-    np.save(odd, np.zeros(3))
-    (problem,) = evaluate(tmp_path / "preds", "sid-sony", root=root).problems
-    assert problem.path == "Fuji/short/10005_99_0.04s.npy"
 
 
 def test_the_other_camera_alone_is_one_message(root: Path, predictions: Path) -> None:

@@ -244,19 +244,6 @@ def test_the_benchmark_is_predicted_and_not_scored(blocks: Path, tmp_path: Path)
             refused()
 
 
-def test_files_of_matlab_that_hold_no_blocks(tmp_path: Path) -> None:
-    manifest = shipped_manifest("sidd-blocks")
-    scipy.io.savemat(tmp_path / "x.mat", {"x": np.zeros((3, 4))})
-    with pytest.raises(ArchiveError, match="one array of blocks"):
-        unpack_dataset(tmp_path / "x.mat", manifest, tmp_path / "SIDD")
-    whole = (tmp_path / "x.mat").read_bytes()
-    (tmp_path / "cut.mat").write_bytes(whole[:140])
-    (tmp_path / "x.bin").write_bytes(whole)
-    for name, reason in (("cut.mat", "damaged"), ("x.bin", r"ends in \.mat")):
-        with pytest.raises(ArchiveError, match=reason):
-            unpack_dataset(tmp_path / name, manifest, tmp_path / "SIDD")
-
-
 def test_ssim_of_a_mosaic_goes_with_raw_values_whose_places_are_known() -> None:
     with pytest.raises(ArgumentError, match="ssim_planes"):
         replace(get_protocol("sid2018"), ssim_planes="mosaic").check()

@@ -18,7 +18,7 @@ import pytest
 
 from eldata.cli.main import main
 from eldata.datasets.published import DRVDataset
-from eldata.errors import ArgumentError, FileError
+from eldata.errors import ArgumentError
 from eldata.evaluation import (
     Task,
     evaluate,
@@ -32,7 +32,6 @@ from eldata.reports.evaluation import write_evaluation_page
 from tests.drv_tree import SmallDrv, rgb_frame_of, small_drv, still_of
 from tests.evaluation import oracle, published_code
 from tests.evaluation.own_set import OwnSet, build_own_set
-from tests.reports.evaluations import result_data, written
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -139,22 +138,6 @@ def test_renderings_are_those_of_the_published_code(tmp_path: Path) -> None:
     assert packed == pytest.approx(expected, abs=1e-6)
 
 
-def test_renderings_have_the_levels_that_the_protocol_compares(own: OwnSet, tmp_path: Path) -> None:
-    generator = np.random.default_rng(8)
-    for scene, ratio in ((scene, ratio) for scene in ("s0", "s1") for ratio in (50, 100)):
-        clean = published_code.sid_reference(own.files / scene / "clean.dng").astype(np.float64)
-        path = tmp_path / scene / f"x{ratio}.npy"
-        path.parent.mkdir(exist_ok=True)
-        np.save(path, np.clip(clean + generator.normal(0, 6, clean.shape), 0, 255) / 255)  # not of 256 levels
-    for images in ("compared", "srgb"):
-        found = evaluate(tmp_path, **own.where, protocol="sid2018", task=Task(gap_of_means, images))
-        assert len(found.images) == 4
-        for image in found.images:
-            codes = np.floor(255 * np.load((tmp_path / image.path).with_suffix(".npy")) + 0.5)
-            gap = codes.mean() - published_code.sid_reference(own.files / image.scene / "clean.dng").mean(dtype=float)
-            assert image.task == pytest.approx(gap / 255, abs=1e-6)
-
-
 def test_a_protocol_of_raw_values_is_rendered_for_a_task(own: OwnSet) -> None:
     image = scored(own, task=Task(gap_of_means, "srgb")).images[0]
     made = np.load((own.root.parent / "preds" / image.path).with_suffix(".npy"))
@@ -213,8 +196,7 @@ def test_frames_without_a_value_are_named(task: Any, reason: str, own: OwnSet) -
         ({"task": "no_such_module:f"}, "no_such_module:f: cannot be imported: ModuleNotFoundError: No module"),
         ({"task": f"{HERE}:absent"}, f"{HERE}:absent: cannot be imported: AttributeError: "),
         ({"task": "matched"}, "'matched' names nothing in a module; expected package.module:name"),
-        ({"task": f"{HERE}:HERE"}, f"{HERE}:HERE is str; a task is a function of"),
-        ({"task": f"{HERE}:OwnSet"}, f"{HERE}:OwnSet is a class; a task is a function of"),
+        ({"task": f"{HERE}:HERE"}, "a task is a function of .*or a Task of one"),
         ({"task": alone}, "alone cannot be called with .prediction, reference.: too many positional arguments"),
         ({"task": Task(worst_error, "packed"), "protocol": "sid2018"}, "wants packed raw images, which .*'sid2018'"),
         ({"task": lambda *_: 0.0, "workers": 2}, "cannot be sent to worker processes .*: define it at the top level"),
@@ -241,13 +223,6 @@ def test_the_command(
     rows = list(csv.reader((tmp_path / "scores.csv").read_text().splitlines()))
     assert rows[0][-1] == "task"
     assert {row[-1] for row in rows[1:]} == {"0"}
-
-
-def test_a_saved_task_is_read_field_by_field(tmp_path: Path) -> None:
-    data = result_data(scenes=1)
-    data["provenance"]["task"] = {"callable": "a:b", "label": "b", "images": "compared", "higher_is_better": "yes"}
-    with pytest.raises(FileError, match=r"provenance.task.higher_is_better"):
-        load_result(written(tmp_path / "result.json", data))
 
 
 # --- of clips ---------------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from eldata import evaluate
-from eldata.evaluation import save_prediction, units
+from eldata.evaluation import save_prediction, score
 from tests.evaluation.own_set import build_own_set
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def modules_called(work: Callable[..., Any], *arguments: Any) -> tuple[set[str],
 def test_one_score_passes_few_modules(own: OwnSet, predictions: Path) -> None:
     """From files to a table, the check of the data set against its manifest among it; and a unit's part of that."""
     units_passed: list[set[str]] = []
-    score_unit = units._score_unit
+    score_unit = score._score_unit
 
     def scored(*arguments: Any) -> Any:
         passed, result = modules_called(score_unit, *arguments)
@@ -63,7 +63,7 @@ def test_one_score_passes_few_modules(own: OwnSet, predictions: Path) -> None:
 
     evaluate(predictions, **own.where)  # what is computed once, such as kernels
     whole, _ = modules_called(lambda: evaluate(predictions, **own.where))
-    with patch.object(units, "_score_unit", scored):
+    with patch.object(score, "_score_unit", scored):
         evaluate(predictions, **own.where)
-    assert len(whole) <= 55, sorted(whole)
-    assert max(map(len, units_passed)) <= 35
+    assert len(whole) <= 52, sorted(whole)
+    assert max(map(len, units_passed)) <= 34

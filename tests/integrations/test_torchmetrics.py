@@ -78,8 +78,7 @@ def placed(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
 @pytest.mark.parametrize("protocol", ["eld", "eld-uncorrected", "led-eld", "pmn-eld"])
 def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[str, Any]], protocol: str) -> None:
     """To the last bit, by camera and factor as in the table."""
-    from eldata.evaluation.originals import normalised_frame
-    from eldata.raw.reading import read_raw
+    from eldata.sources.frames import Files
 
     rules = PROTOCOLS[protocol]
 
@@ -92,7 +91,7 @@ def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[
         metric = ProtocolScore(protocol)
         members = [pair for pair in oracle.pairs(tree.files) if (pair.camera, pair.factor) == (camera, ratio)]
         frames = [
-            normalised_frame(read_raw(tree.files / pair.reference), rules.levels, clip=rules.reference_clip)
+            Files(tree.files).frame(pair.reference).with_levels(rules.levels).normalise(rules.reference_clip)
             for pair in members
         ]
         metric.update(
@@ -121,8 +120,8 @@ def test_the_score_is_that_of_evaluate_whatever_the_clip_of_the_input(
 ) -> None:
     """References of which a quarter lies below black, of a dataset and as an array that keeps them."""
     from eldata.datasets import ELDDataset
-    from eldata.evaluation.originals import normalised_frame
     from eldata.raw import read_raw, write_dng
+    from eldata.sources.frames import Files
 
     folder, predictions = placed
     dark = Tree(Path(shutil.copytree(tree.folder, tmp_path / "dark")))
@@ -134,7 +133,7 @@ def test_the_score_is_that_of_evaluate_whatever_the_clip_of_the_input(
     of_dataset, of_arrays = ProtocolScore("eld"), ProtocolScore("eld")
     for sample in ELDDataset(dark.files, manifest=dark.manifest, clip=clip, ratios=[100, 200]):
         prediction = torch.from_numpy(predictions[sample["path"]])
-        kept = normalised_frame(read_raw(dark.files / sample["reference"]), "published", clip=clip)
+        kept = Files(dark.files).frame(sample["reference"]).with_levels("published").normalise(clip)
         assert np.mean(kept < 0) == pytest.approx(0.25)
         of_dataset.update(prediction, sample["target"])
         of_arrays.update(prediction, torch.from_numpy(kept))

@@ -138,15 +138,15 @@ def test_windows_exhaustively() -> None:
         found = windows(clip, length=length, stride=stride, frames="all")
         assert [window.start for window in found] == expected
         for window in found:
-            assert window.paths == tuple(f"{n}.png" for n in range(window.start, window.start + length))
-            assert (window.path, window.reference) == (window.paths[0], "r.png")
+            assert window.frames == tuple(f"{n}.png" for n in range(window.start, window.start + length))
+            assert (window.path, window.reference) == (window.frames[0], "r.png")
 
 
 def test_windows_do_not_span_gaps() -> None:
     for missing in range(1, 7):
         numbers = [n for n in range(8) if n != missing]
         found = windows(clip_of(numbers), length=2, stride=1, frames="all")
-        pairs = [tuple(int(path[:-4]) for path in window.paths) for window in found]
+        pairs = [tuple(int(path[:-4]) for path in window.frames) for window in found]
         assert pairs == [(n, n + 1) for n in range(7) if missing not in (n, n + 1)]
     with pytest.raises(DatasetError, match="eldata verify finds gaps"):
         windows(clip_of([0, 2, 4]), length=2, stride=1, frames="all")

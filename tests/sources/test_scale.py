@@ -22,13 +22,13 @@ def test_opening_a_store_opens_one_pair_of_each_kind(tmp_path: Path, monkeypatch
     path = write_small_store(tmp_path / "small.h5", 500)
     assert verify_store(path).ok
     opened: list[str] = []
-    open_pair = base.SourcePairs._opened
+    open_pair = base.SourcePairs._open_pair
 
     def counted(pairs: Any, record: Any) -> Any:
         opened.append(record.path)
         return open_pair(pairs, record)
 
-    monkeypatch.setattr(base.SourcePairs, "_opened", counted)
+    monkeypatch.setattr(base.SourcePairs, "_open_pair", counted)
     pairs = PackedStore(path, crop=16)
     assert (len(pairs), len(opened)) == (450, 1)
     loader = training_loader(pairs, 4, workers=0)

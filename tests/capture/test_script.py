@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import stat
 import subprocess
@@ -25,7 +24,7 @@ from capture.shots import plan_calibration
 from eldata.manifest.table import load_records
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
-from tests.capture.simulated import CAMERA, SENSOR, plan_of
+from tests.capture.simulated import CAMERA, SENSOR
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -125,12 +124,6 @@ def test_from_plan_to_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str
         if row.scene:
             written = rig.folder / row.path.removeprefix("AcmeNocturne/")
             assert (set_folder / row.path).read_bytes() == written.read_bytes(), "each frame is what its name said"
-
-
-def test_the_excerpt_in_the_guide() -> None:
-    shown = (Path(__file__).parents[2] / "docs" / "capture.md").read_text(encoding="utf-8")
-    (excerpt,) = re.findall(r"```\n(# scene-1: .*?)```", shown, re.DOTALL)
-    assert excerpt in gphoto_script(plan_of("4", "2", "1"), "plan.json")
 
 
 def test_it_stops_at_what_goes_wrong_and_goes_on_there(rig: Rig) -> None:

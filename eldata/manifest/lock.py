@@ -20,9 +20,10 @@ from eldata.manifest.catalogue import (
     load_manifest,
     locked_path,
 )
+from eldata.manifest.file_checks import check_file
 from eldata.manifest.patterns import expand
 from eldata.manifest.table import load_table
-from eldata.manifest.verify import check_file, verify
+from eldata.manifest.verify import verify
 from eldata.manifest.verify_report import Problem, VerifyReport, row_fault
 from eldata.manifest.writing import save_manifest
 
@@ -142,7 +143,7 @@ def _locked(
     require_files(path)
     locked = replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path))
     if record.sha256 is None:  # a hash of a damaged file would make the damage official
-        return locked, check_file(files, cameras, "full", record).findings
+        return locked, check_file(files, cameras, "full", record).problems
     advice = "if this copy is the right one, empty the row's size_bytes and sha256 and lock again"
     apart = row_fault(record.path, "sha256", record.sha256, str(locked.sha256), advice)
     return locked, [] if locked.sha256 == record.sha256 else [apart]

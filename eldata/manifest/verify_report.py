@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 Level = Literal["quick", "metadata", "full"]
 LEVELS: tuple[Level, ...] = get_args(Level)
 
+COPY_AGAIN = "copy or download it again"
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:

@@ -210,7 +210,7 @@ def _write(
 ) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
     from capture.placing import check_free, copy, link, make_folders
-    from eldata.manifest.writing import refuse_others, save_manifest
+    from eldata.manifest.catalogue import refuse_others, save_manifest
 
     place = arguments.copy_to or arguments.link_to
     dataset = in_place(plan, found) if place is None else into_layout(plan, found, Path(place).absolute(), begun)

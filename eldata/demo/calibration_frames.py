@@ -19,8 +19,8 @@ from eldata.demo.body import Body, FixedFeatures, KnownNoise
 from eldata.demo.camera import CAMERAS
 from eldata.demo.tree import demo_card, write_shot
 from eldata.errors import ArgumentError
+from eldata.manifest.catalogue import save_manifest
 from eldata.manifest.table import number_text
-from eldata.manifest.writing import save_manifest
 from eldata.records import FrameRecord, Sensor
 
 if TYPE_CHECKING:

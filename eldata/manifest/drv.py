@@ -1,4 +1,4 @@
-"""What a copy of the Dark Raw Video dataset (DRV) holds: its layout, and its files as a manifest.
+"""What a copy of the Dark Raw Video dataset (DRV) holds: its layout, and its camera raws as a manifest.
 
 A static clip (``0001`` to ``0202``) is a burst of short exposures with one long one as the reference; a dynamic clip
 (``M0000`` to ``M0022``) has no reference. There are two forms:
@@ -24,10 +24,9 @@ from typing import TYPE_CHECKING
 from eldata.base.files import visible_below
 from eldata.errors import DatasetError
 from eldata.manifest.card import counts_of
-from eldata.manifest.catalogue import Manifest, shipped_manifest
+from eldata.manifest.catalogue import Manifest, save_manifest, shipped_manifest
 from eldata.manifest.clips import clip_names
-from eldata.manifest.patterns import expand, is_pattern
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.patterns import is_pattern
 from eldata.raw.files import is_raw
 from eldata.records import FrameRecord
 
@@ -47,101 +46,36 @@ _DIGITS = re.compile(r"[0-9]+")
 _SHOWN = 5
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """How a copy's files are laid out: for each kind of name, how many clips and files have it.
+def describe_layout(records: Iterable[FrameRecord]) -> str:
+    """Describe how a copy's clips lie: for each kind of name, how many clips and files have it.
 
-    Attributes
-    ----------
-    kinds
-        (role or ``unused``, name, clips, files), where the clip stands as ``<clip>`` and other numbers of the name as
-        ``<n>``.
-    frames_per_clip
-        Fewest and most noisy frames of a clip; (0, 0) if there are none.
-    without_reference
-        Clips of noisy frames without a reference.
+    The clip stands as ``<clip>``, other numbers of a name as ``<n>``. Patterns, which are no files, are left out.
     """
-
-    kinds: tuple[tuple[str, str, int, int], ...]
-    frames_per_clip: tuple[int, int]
-    without_reference: tuple[str, ...]
-
-    @classmethod
-    def of(cls, records: Iterable[FrameRecord]) -> Layout:
-        """Describe rows of a manifest; patterns, which stand for no file, are left out."""
-        rows = [row for row in records if not is_pattern(row.path)]
-        clips: dict[tuple[str, str], set[str]] = defaultdict(set)
-        files: Counter[tuple[str, str]] = Counter()
-        for row in rows:
-            kind = (UNUSED if UNUSED in row.flags else row.role, _kind_of_name(row.path, row.scene))
-            clips[kind].add(row.scene)
-            files[kind] += 1
-        frames = Counter(clip_names(rows).values())
-        referenced = {row.scene for row in rows if row.role == "reference" and UNUSED not in row.flags}
-        return cls(
-            tuple((*kind, len(clips[kind]), files[kind]) for kind in sorted(files)),
-            (min(frames.values(), default=0), max(frames.values(), default=0)),
-            tuple(dict.fromkeys(row.scene for row in rows if row.role == "noisy" and row.scene not in referenced)),
-        )
-
-    def __str__(self) -> str:
-        kinds = "; ".join(f"{role} {name}: {clips} clips, {files} files" for role, name, clips, files in self.kinds)
-        low, high = self.frames_per_clip
-        lone = self.without_reference
-        return (
-            f"{kinds or 'no files'}; {low} to {high} frames per clip"
-            f"{f'; without a reference: {_some(lone)}' if lone else ''}"
-        )
+    rows = [row for row in records if not is_pattern(row.path)]
+    clips: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for row in rows:
+        clips[UNUSED if UNUSED in row.flags else row.role, _kind_of_name(row.path, row.scene)].append(row.scene)
+    kinds = "; ".join(
+        f"{role} {name}: {len(set(scenes))} clips, {len(scenes)} files"
+        for (role, name), scenes in sorted(clips.items())
+    )
+    frames = Counter(clip_names(rows).values()).values()
+    referenced = {row.scene for row in rows if row.role == "reference" and UNUSED not in row.flags}
+    alone = tuple(dict.fromkeys(row.scene for row in rows if row.role == "noisy" and row.scene not in referenced))
+    count = f"{min(frames, default=0)} to {max(frames, default=0)} frames per clip"
+    return f"{kinds or 'no files'}; {count}{f'; without a reference: {_some(alone)}' if alone else ''}"
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """The files of one copy as a manifest: its card, its rows, one per file, and notes on what was left out."""
+    """Files of one copy as a manifest: its card, and its rows, one per file."""
 
     card: Card
     records: tuple[FrameRecord, ...]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def layout(self) -> Layout:
-        """How the files are laid out."""
-        return Layout.of(self.records)
 
     def save(self, path: Path | str) -> Manifest:
         """Write the manifest's CSV and, beside it, its card; ``eldata verify`` and ``eldata lock`` take it then."""
         return save_manifest(path, self.card, self.records)
-
-
-def scan_preprocessed(folder: Path | str) -> Scan:
-    """List the preprocessed files of a copy.
-
-    Parameters
-    ----------
-    folder
-        The dataset's folder, which holds ``VBM4D_rawRGB`` and ``long``.
-
-    Raises
-    ------
-    DatasetError
-        If it holds none, or a clip has several references.
-    """
-    folder = Path(folder)
-    manifest = shipped_manifest("drv")
-    rows = [row for row in expand(manifest.records, folder) if not is_pattern(row.path)]
-    if not rows:
-        raise DatasetError(
-            f"{folder}: holds no VBM4D_rawRGB/<clip>/*.png (where to get them: {manifest.card.homepage})"
-        )
-    several = {row.scene for row in rows if row.role == "noisy" and is_pattern(row.reference or "")}
-    present = {row.path for row in rows}
-    doubled = sorted(several & {row.scene for row in rows if row.role == "reference"})
-    if doubled:
-        raise DatasetError(
-            f"{folder}: several files long/<clip>/half0001*.png in clips {_some(doubled)}; which one is the reference "
-            "is not known: move the others away"
-        )
-    records = [row if row.reference in present else replace(row, reference=None) for row in rows]
-    return Scan(_listing_card(manifest.card, "preprocessed files of one copy", "drv", records), tuple(records))
 
 
 def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
@@ -169,13 +103,14 @@ def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
     published = shipped_manifest("drv")
     (camera,) = published.card.cameras
     split_of = {row.scene: row.split for row in published.records if row.role == "noisy"}
-    found: dict[str, dict[str, list[str]]] = {kind: defaultdict(list) for kind in ("noisy", "reference", UNUSED, "")}
+    paths_of: dict[str, dict[str, list[str]]] = {kind: defaultdict(list) for kind in ("noisy", "reference", UNUSED, "")}
     for path in visible_below(folder):
         relative = path.relative_to(folder)
-        if is_raw(path):
-            kind, clip = _kind_and_clip(relative, split_of, reference)
-            found[kind][clip].append(relative.as_posix())
-    stray, noisy, bright, unused = found[""][""], found["noisy"], found["reference"], found[UNUSED]
+        kind, clip = _kind_and_clip(relative, split_of, reference)
+        dynamic = split_of.get(clip) == DYNAMIC
+        if is_raw(path) and not (dynamic and kind in ("reference", UNUSED)):
+            paths_of[kind][clip].append(relative.as_posix())
+    stray, noisy, bright, unused = paths_of[""][""], paths_of["noisy"], paths_of["reference"], paths_of[UNUSED]
     if stray:
         raise DatasetError(
             f"{folder}: cannot tell which clip {len(stray)} raw files belong to, such as {_some(stray)}; expected each "
@@ -183,8 +118,6 @@ def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
         )
     if not noisy:
         raise DatasetError(f"{folder}: holds no camera raw of a clip, such as short/0001/<name>.ARW")
-    dynamic = [clip for clip, split in split_of.items() if split == DYNAMIC]
-    left_out = sum(len(bright.pop(clip, ())) + len(unused.pop(clip, ())) for clip in dynamic)
     _check_one_place(folder, noisy)
     _check_one_place(folder, bright)
     for clip, paths in bright.items():
@@ -202,9 +135,15 @@ def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
             yield from (replace(row, path=path) for path in paths)
 
     records = [*rows("noisy", noisy), *rows("reference", bright), *rows("reference", unused, (UNUSED,))]
-    notes = (f"{left_out} raws of dynamic clips below long are left out",) if left_out else ()
-    card = _listing_card(published.card, "camera raws of one copy", "drv-raw", records)
-    return Scan(card, tuple(sorted(records, key=lambda row: row.path)), notes)
+    card = replace(
+        published.card,
+        name="drv-raw",
+        title=f"{published.card.title}: camera raws of one copy",
+        counts=counts_of(records),
+        protocol="drv-raw",
+        sources=(*published.card.sources, "the files of one copy: what is missing there is missing here"),
+    )
+    return Scan(card, tuple(sorted(records, key=lambda row: row.path)))
 
 
 def _kind_and_clip(path: Path, clips: Collection[str], reference: str) -> tuple[str, str]:
@@ -223,14 +162,6 @@ def _check_one_place(folder: Path, paths_of: Mapping[str, Sequence[str]]) -> Non
         places = sorted({PurePosixPath(path).parent.as_posix() for path in paths})
         if len(places) > 1:
             raise DatasetError(f"{folder}: clip {clip} lies in {len(places)} folders: {_some(places)}; keep one")
-
-
-def _listing_card(card: Card, what: str, name: str, records: Iterable[FrameRecord]) -> Card:
-    sources = (*card.sources, "the files of one copy: what is missing there is missing here")
-    protocol = "drv-raw" if name == "drv-raw" else card.protocol
-    return replace(
-        card, name=name, title=f"{card.title}: {what}", counts=counts_of(records), protocol=protocol, sources=sources
-    )
 
 
 def _kind_of_name(path: str, clip: str) -> str:

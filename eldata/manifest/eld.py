@@ -47,11 +47,6 @@ class EldCamera:
     reference_exposure_s: Mapping[int, Fraction] | None = None
 
 
-def nearest_reference(number: int) -> int:
-    """Return the number of the reference frame that a noisy frame is compared with."""
-    return min(REFERENCE_NUMBERS, key=lambda reference: abs(reference - number))
-
-
 def frame_path(camera: EldCamera, scene: int, number: int) -> str:
     """Return a frame's path relative to the dataset's folder."""
     return f"{camera.name}/scene-{scene}/IMG_{number:04d}{camera.extension}"
@@ -79,6 +74,7 @@ def eld_records(
                     exposure_s = None
                     if reference_iso is not None and reference_exposure_s is not None:
                         exposure_s = reference_iso * reference_exposure_s / (iso * factor)
+                    nearest = min(REFERENCE_NUMBERS, key=lambda reference: abs(reference - number))
                     rows.append(
                         frame(
                             path=frame_path(camera, scene, number),
@@ -86,7 +82,7 @@ def eld_records(
                             iso=Fraction(iso),
                             exposure_s=exposure_s,
                             ratio=Fraction(factor),
-                            reference=frame_path(camera, scene, nearest_reference(number)),
+                            reference=frame_path(camera, scene, nearest),
                         )
                     )
     flagged = [replace(row, flags=flags[row.path]) if flags and row.path in flags else row for row in rows]

@@ -14,9 +14,9 @@ import rawpy
 from eldata.datasets import ELDDataset, PairDataset
 from eldata.demo.camera import CAMERAS
 from eldata.errors import DatasetError, ManifestError, RawFileError
+from eldata.manifest.catalogue import save_manifest
 from eldata.manifest.own import sort_own_set
 from eldata.manifest.verify import verify
-from eldata.manifest.writing import save_manifest
 from eldata.records import Exposure
 from tests.datasets.comparing import same_bits
 from tests.trees import ALPHA, Tree, frame, retake, scale_exposure

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.errors import ManifestError
-from eldata.manifest.catalogue import shipped_folder, shipped_manifest
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.catalogue import save_manifest, shipped_folder, shipped_manifest
+from eldata.manifest.pairs import Choice
 from eldata.manifest.verify import verify
-from eldata.manifest.writing import save_manifest
 from manifests.published_lrd import LrdScene, load_lrd_scenes, lrd_scenes_from_lists
 from tests.lrd_tree import write_frames
 from tests.trees import swap
@@ -69,7 +68,7 @@ def test_lines_of_the_lists(line: str) -> None:
 
 
 def test_ratios_are_not_the_exposure_biases() -> None:
-    pairs = select_pairs(shipped_manifest("lrd").records)
+    pairs = Choice().pairs(shipped_manifest("lrd").records)
     spans = {1: (1.49, 3.31), 2: (2.98, 8.0), 3: (5.97, 20.32)}  # of the lists, by their code's formula
     for bias, (low, high) in spans.items():
         ratios = [float(pair.ratio) for pair in pairs if f"_{bias:02d}_" in pair.path]
@@ -81,7 +80,7 @@ def test_ratios_are_not_the_exposure_biases() -> None:
 def test_subsets_are_one_bias_of_the_test_scenes() -> None:
     manifest = shipped_manifest("lrd")
     for bias in (1, 2, 3):
-        pairs = select_pairs(manifest.records, manifest.card.subsets, subset=f"test-{bias}ev")
+        pairs = Choice(subset=f"test-{bias}ev").pairs(manifest.records, manifest.card.subsets)
         assert len(pairs) == 60
         assert {pair.path.split("_")[1] for pair in pairs} == {f"{bias:02d}"}
         assert {pair.split for pair in pairs} == {"test"}

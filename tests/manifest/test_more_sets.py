@@ -19,7 +19,7 @@ from eldata.manifest.catalogue import (
     shipped_manifest,
     shipped_names,
 )
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import Choice
 from manifests.published_lrid import Burst, bursts_from_infos, load_bursts, save_bursts
 from manifests.published_sidd import load_instances
 
@@ -81,7 +81,7 @@ def test_lrid_subsets_are_first_frames_of_bursts() -> None:
     """As the published code takes them: frame 0 of the sorted names, each gain."""
     manifest = shipped_manifest("lrid")
     for subset, split, gains in (("indoor-first", "eval", (1, 2, 4, 8, 16)), ("outdoor-first", "test", (1, 2, 4))):
-        found = select_pairs(manifest.records, manifest.card.subsets, subset=subset)
+        found = Choice(subset=subset).pairs(manifest.records, manifest.card.subsets)
         bursts: dict[str, list[str]] = {}
         for record in manifest.records:
             if record.role == "noisy" and record.split == split:
@@ -205,7 +205,7 @@ def test_sidd_names_say_what_the_readme_says_they_do() -> None:
 def test_sidd_subsets_of_sfrn() -> None:
     manifest = shipped_manifest("sidd")
     for phone in ("S6", "GP", "IP"):
-        pairs = select_pairs(manifest.records, manifest.card.subsets, subset=f"sfrn-{phone.lower()}")
+        pairs = Choice(subset=f"sfrn-{phone.lower()}").pairs(manifest.records, manifest.card.subsets)
         instances = {pair.path.split("/")[2] for pair in pairs}
         assert {instance.split("_")[2] for instance in instances} == {phone}
         assert {instance.split("_")[1] for instance in instances} == {"002", "003", "005"}
@@ -230,7 +230,7 @@ def test_crvd_has_55_groups_of_seven_frames() -> None:
     assert set(groups.values()) == {70}
     assert Counter(record.role for record in manifest.records) == {"noisy": 3850, "reference": 385}
     assert {record.scene for record in noisy if record.split == "test"} == {f"scene{number}" for number in range(7, 12)}
-    first = select_pairs(manifest.records, manifest.card.subsets, subset="test-first")
+    first = Choice(subset="test-first").pairs(manifest.records, manifest.card.subsets)
     assert len(first) == 5 * 5 * 7
     assert first[0].path.endswith("_noisy0.tiff")
     assert first[0].reference.startswith("indoor_raw_gt/")

@@ -24,8 +24,7 @@ from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestErro
 from eldata.evaluation import scored_pairs
 from eldata.manifest import load_manifest, verify
 from eldata.manifest.card import CameraCard, Card, load_card, save_card
-from eldata.manifest.catalogue import FrameFiles
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.catalogue import FrameFiles, save_manifest
 from eldata.noise import DarkShading
 from eldata.raw import bayer_cfa, pack, pack_normalised, read_raw, write_dng
 from eldata.raw.levels import packed_frame

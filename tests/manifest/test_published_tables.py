@@ -16,7 +16,7 @@ from eldata.evaluation.published import (
     shipped_published,
 )
 from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest, shipped_names
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.protocols import PROTOCOLS
 from tests.cases import in_one_test
 
@@ -49,7 +49,7 @@ def manifest_of(dataset: str) -> Manifest:
 @cache
 def chosen_pairs(dataset: str, subset: str | None, camera: str, ratios: tuple[float, ...]) -> tuple[PairRecord, ...]:
     manifest = manifest_of(dataset)
-    return select_pairs(manifest.records, manifest.card.subsets, subset=subset, cameras=[camera], ratios=ratios)
+    return Choice(subset=subset, cameras=[camera], ratios=ratios).pairs(manifest.records, manifest.card.subsets)
 
 
 def only(rows: tuple[PublishedRow, ...], **wanted: object) -> PublishedRow:

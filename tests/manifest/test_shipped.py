@@ -11,7 +11,7 @@ import pytest
 from capture.protocol import RELEASED
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import Manifest, carded_names, shipped_folder, shipped_manifest, shipped_names
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import verify
 from manifests.generate import published
@@ -97,7 +97,7 @@ def test_numbers_isos_factors_and_references(eld: Manifest) -> None:
 
 @pytest.mark.parametrize("ratios", [(100, 200), (1, 10)])
 def test_the_papers_240_pairs_and_the_easier_240(eld: Manifest, ratios: tuple[int, ...]) -> None:
-    pairs = select_pairs(eld.records, ratios=ratios)
+    pairs = Choice(ratios=ratios).pairs(eld.records)
     assert len(pairs) == 240
     groups = Counter((pair.camera, pair.ratio) for pair in pairs)
     assert groups == {(camera, ratio): 30 for camera in EXTENSIONS for ratio in ratios}

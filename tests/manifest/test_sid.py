@@ -13,7 +13,7 @@ import pytest
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.card import find_subset, load_card
 from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.manifest.verify import verify
 from manifests.sid_scenes import SID_CAMERAS, SONY, load_scenes, save_scenes, scenes_from_lists
 from tests.sid_tree import NAMES, SmallTree, build_small_tree
@@ -51,7 +51,7 @@ def per_ratio(pairs: tuple[PairRecord, ...]) -> tuple[int, ...]:
 
 
 def subset_of(manifest: Manifest, name: str, **options: object) -> tuple[PairRecord, ...]:
-    return select_pairs(manifest.records, manifest.card.subsets, subset=name, **options)  # type: ignore[arg-type]
+    return Choice(subset=name, **options).pairs(manifest.records, manifest.card.subsets)  # type: ignore[arg-type]
 
 
 def first_shot(path: str) -> bool:
@@ -67,7 +67,7 @@ def test_counts_per_split_and_ratio(name: str, split: str) -> None:
     short, long, ratios, first = COUNTS[name, split]
     roles = Counter(record.role for record in manifest.records if record.split == split)
     assert roles == {"noisy": short, "reference": long}
-    pairs = select_pairs(manifest.records, split=[split])
+    pairs = Choice(split=[split]).pairs(manifest.records)
     assert per_ratio(pairs) == ratios
     assert per_ratio(tuple(pair for pair in pairs if first_shot(pair.path))) == first
 
@@ -203,7 +203,7 @@ def test_a_subset_that_lost_pairs_is_refused() -> None:
     manifest = shipped_manifest("sid-sony")
     records = [record for record in manifest.records if record.path != "Sony/short/10185_00_0.1s.ARW"]
     with pytest.raises(ManifestError, match="'indoor-15': the card expects 45 pairs, the manifest has 44"):
-        select_pairs(records, manifest.card.subsets, subset="indoor-15")
+        Choice(subset="indoor-15").pairs(records, manifest.card.subsets)
 
 
 @pytest.mark.parametrize(
@@ -216,7 +216,7 @@ def test_a_subset_that_lost_pairs_is_refused() -> None:
 )
 def test_unknown_values_list_the_known(filters: dict[str, object], said: str) -> None:
     with pytest.raises(ArgumentError, match=said):
-        select_pairs(shipped_manifest("sid-sony").records, **filters)  # type: ignore[arg-type]
+        Choice(**filters).pairs(shipped_manifest("sid-sony").records)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -243,7 +243,7 @@ def test_malformed_subsets_are_named(old: str, new: str, said: str, tmp_path: Pa
 def test_the_official_lists_condense_to_the_table_of_scenes(name: str, tmp_path: Path) -> None:
     """Lists in the official form, written from the manifest, give the committed table of scenes."""
     folder, _ = FOLDERS[name]
-    pairs = select_pairs(shipped_manifest(name).records)
+    pairs = Choice().pairs(shipped_manifest(name).records)
     lists = []
     for split in ("train", "val", "test"):
         lists.append(tmp_path / f"{folder}_{split}_list.txt")

@@ -288,7 +288,7 @@ def as_record(cells: Sequence[str]) -> FrameRecord:
     fractions = [Fraction(text) if text else None for text in numbers]
     wholes = [int(text) if text else None for text in (width, height, size)]
     words = tuple(flags.split(";")) if flags else ()
-    return FrameRecord(path, role, camera, scene, split, *fractions, reference or None, *wholes, sha256 or None, words)  # type: ignore[arg-type, misc] # as the columns stand
+    return FrameRecord(path, role, camera, scene, split, *fractions, reference or None, *wholes, sha256 or None, words)  # type: ignore[arg-type, call-arg] # as the columns stand
 
 
 def test_a_table_of_several_batches_is_read_as_csv_has_it(path: Path) -> None:

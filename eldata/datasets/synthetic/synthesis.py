@@ -39,7 +39,7 @@ from eldata.datasets.synthetic.draws import Turns, draw_splits
 from eldata.datasets.synthetic.noisy_items import check_scale, from_sensor
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.catalogue import save_manifest
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
 from eldata.raw.cfa import cfa_from, packed_area, packed_shape, packing_sites, unpack

@@ -106,13 +106,15 @@ def find_targets(
     if len(ways) > 1:
         shown = ", ".join(f"{within or '.'} as {below or '.'}" for within, below in ways[:3])
         raise ArchiveError(archive, f"its files fit the manifest in {len(ways)} ways ({shown}); {by_hand}")
-    if not ways and unlisted_below is None:
+    if not ways and unlisted_below is not None:
+        ways = [("", unlisted_below)]
+    if not ways:
         raise ArchiveError(
             archive,
             f"none of its {len(names)} files is listed (found such as {min(names)}, expected such as {min(listed)}); "
             f"is it another dataset's archive? If not, {by_hand}",
         )
-    within, below = (f"{folder}/" if folder else "" for folder in (ways or [("", unlisted_below)])[0])
+    within, below = (f"{folder}/" if folder else "" for folder in ways[0])
     return {name: below + name.removeprefix(within) for name in names if name.startswith(within)}
 
 

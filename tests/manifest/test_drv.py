@@ -20,14 +20,12 @@ from eldata.manifest.clips import FRAME_RANGES, Clip, choose_clips, clips_of, fr
 from eldata.manifest.drv import UNUSED, describe_layout, scan_raw
 from eldata.manifest.lock import lock
 from eldata.manifest.pairs import Choice
-from eldata.manifest.patterns import expand, matching, sequence_of
+from eldata.manifest.patterns import expand, sequence_of
 from eldata.manifest.verify import verify
-from eldata.records import FrameRecord
 from manifests.published_drv import splits_from_lists
 from tests.drv_tree import (
     NOISY,
     REFERENCE,
-    SENSOR,
     SmallDrv,
     rgb_frame_of,
     small_drv,
@@ -163,12 +161,6 @@ def test_named_frame_ranges() -> None:
     assert len(FRAME_RANGES) == 3
 
 
-@pytest.mark.parametrize(("length", "stride"), [(0, 1), (1, 0), (-1, 1)])
-def test_windows_that_make_no_sense(length: int, stride: int) -> None:
-    with pytest.raises(ArgumentError, match="must be 1 or more"):
-        windows(clip_of([0, 1]), length=length, stride=stride, frames="all")
-
-
 def test_unknown_clips_and_splits_list_the_known() -> None:
     records = shipped_manifest("drv").records
     with pytest.raises(ArgumentError, match="no clip has split holidays; known are dynamic, test, train, val"):
@@ -205,21 +197,6 @@ def test_expanding_puts_the_files_of_a_copy_in(drv: SmallDrv) -> None:
         None,
     }
     assert expand(rows, drv.data) == rows
-
-
-def test_hidden_files_and_other_files_match_nothing(drv: SmallDrv) -> None:
-    place = drv.data / "VBM4D_rawRGB/0007"
-    for name in (".0007.png", "notes.txt", "0007.PNG"):
-        (place / name).write_bytes(b"x")
-    assert len(matching(drv.data, "VBM4D_rawRGB/0007/*.png")) == 6
-    assert matching(drv.data, "VBM4D_rawRGB/0099/*.png") == ()
-
-
-def test_a_folder_that_leads_outside_is_refused(drv: SmallDrv, tmp_path: Path) -> None:
-    (tmp_path / "elsewhere").mkdir()
-    (drv.data / "VBM4D_rawRGB/0099").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(ManifestError, match="leads outside"):
-        matching(drv.data, "VBM4D_rawRGB/0099/*.png")
 
 
 def test_clips_need_frames_and_one_reference(drv: SmallDrv) -> None:
@@ -264,23 +241,6 @@ def test_other_pngs_are_refused(pixels: NDArray[np.generic], kind: str, tmp_path
     write_png(tmp_path / "x.png", pixels)
     with pytest.raises(FileError, match=f"expected a 16-bit RGB PNG, found {kind}"):
         read_rgb16(tmp_path / "x.png")
-
-
-def test_damaged_pngs_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "x.png"
-    write_png(path, still_of("0001"))
-    content = path.read_bytes()
-    for cut in (0, 5, 20, 100, len(content) // 2, len(content) - 1):
-        path.write_bytes(content[:cut])
-        with pytest.raises(FileError, match=r"is empty|is not a PNG|truncated"):
-            read_rgb16(path)
-    flipped = bytearray(content)
-    flipped[len(content) // 2] ^= 1
-    path.write_bytes(flipped)
-    with pytest.raises(FileError, match="cannot be decoded"):
-        read_rgb16(path)
-    with pytest.raises(FileError, match="cannot be read"):
-        read_rgb16(tmp_path / "none.png")
 
 
 # --- verify and lock, preprocessed ------------------------------------------------------------------------------------
@@ -390,13 +350,8 @@ def test_locking_lists_the_files(drv: SmallDrv) -> None:
     ("damage", "expected"),
     [
         (delete, [(FRAME, "file")]),
-        (truncate, [(FRAME, "content"), (FRAME, "size_bytes")]),
-        (misnumber, [(FRAME, "file"), ("VBM4D_rawRGB/0007/0017.png", "file")]),
         (add_copy, [("VBM4D_rawRGB/0007/0004 (1).png", "file")]),
-        (lambda data: swap(data / FRAME, data / "VBM4D_rawRGB/0013/0002.png"), [(FRAME, "sha256")]),
         (lambda data: swap(data / FRAME, data / "VBM4D_rawRGB/0007/0005.png"), [(FRAME, "sha256")]),
-        (lambda data: swap(data / FRAME, data / "long/0007/half0001_0.png"), [(FRAME, "sha256")]),
-        (no_reference, [("long/0007/half0001_0.png", "file")]),
     ],
 )
 def test_what_shows_once_the_files_are_listed(
@@ -419,7 +374,7 @@ def test_other_pictures_beside_a_reference_are_no_problem(drv: SmallDrv) -> None
 # --- raws -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("short", ["short", "short1", "short/part", "archives/short2/short"])
+@pytest.mark.parametrize("short", ["short", "archives/short2/short"])
 def test_raws_are_found_wherever_the_archives_were_unpacked(short: str, tmp_path: Path) -> None:
     for clip in CLIPS:
         write_raw_clip(tmp_path, clip, 4, short=short)
@@ -448,9 +403,7 @@ def test_parts_in_folders_of_their_own(tmp_path: Path) -> None:
     ("stray", "message"),
     [
         ("short/DSC00001.ARW", r"cannot tell which clip 1 raw files belong to, such as short/DSC00001.ARW"),
-        ("0007/DSC00001.ARW", r"cannot tell .* 0007/DSC00001.ARW"),
         ("short/0999/DSC00001.ARW", r"cannot tell .* short/0999"),
-        ("short/0007/0013/DSC00001.ARW", r"cannot tell .* short/0007/0013"),
         ("long/short/0007/DSC00001.ARW", r"cannot tell .* long/short"),
         ("short2/0007/DSC09999.ARW", r"clip 0007 lies in 2 folders: short/0007, short2/0007"),
         ("long/0007/DSC00002.ARW", r"clip 0007 has 2 long exposures, and which is the reference is not published"),
@@ -501,25 +454,9 @@ def retake(data: Path) -> None:
     write_raw(data / RAW_FRAME, replace(NOISY, iso=Fraction(3200)))
 
 
-def other_camera(data: Path) -> None:
-    write_raw(data / RAW_FRAME, NOISY, sensor=replace(SENSOR, model="ILCE-7SM2"))
-
-
-def cut_raw(data: Path) -> None:
-    (data / RAW_FRAME).write_bytes((data / RAW_FRAME).read_bytes()[:4000])
-
-
 @pytest.mark.parametrize(
     ("damage", "level", "expected"),
     [
-        (lambda data: (data / RAW_FRAME).unlink(), "quick", {(RAW_FRAME, "file")}),
-        (
-            lambda data: (data / RAW_FRAME).rename((data / RAW_FRAME).with_name("DSC02000.ARW")),
-            "quick",
-            {(RAW_FRAME, "file"), ("short/0007/DSC02000.ARW", "file")},
-        ),
-        (cut_raw, "metadata", {(RAW_FRAME, "content")}),
-        (other_camera, "metadata", {(RAW_FRAME, "camera")}),
         (retake, "metadata", {(RAW_FRAME, "exposure")}),
         (
             lambda data: swap(data / RAW_FRAME, data / "long/0007/DSC00001.ARW"),
@@ -535,8 +472,3 @@ def test_what_shows_in_raws(
     damage(raw.data)
     problems = verify([raw.manifest], raw.root, level=level).problems
     assert {(problem.path, problem.field) for problem in problems} == expected
-
-
-def test_records_of_a_pattern_and_of_a_file_mix(drv: SmallDrv) -> None:
-    rows = [*drv.manifest.records, FrameRecord("long/0007/DSC00001.ARW", "reference", "SonyRX100M6", scene="0007")]
-    assert len(expand(rows, drv.data)) == 21

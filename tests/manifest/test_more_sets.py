@@ -21,7 +21,6 @@ from eldata.manifest.catalogue import (
 )
 from eldata.manifest.pairs import Choice
 from manifests.published_lrid import Burst, bursts_from_infos, load_bursts, save_bursts
-from manifests.published_sidd import load_instances
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -210,12 +209,6 @@ def test_sidd_subsets_of_sfrn() -> None:
         assert {instance.split("_")[2] for instance in instances} == {phone}
         assert {instance.split("_")[1] for instance in instances} == {"002", "003", "005"}
         assert len(pairs) == 2 * len(instances)
-
-
-def test_a_sidd_name_of_another_form(tmp_path: Path) -> None:
-    (tmp_path / "sidd.csv").write_text("instance\n0001_001_S7_00100_00060_3200_L\n")
-    with pytest.raises(ManifestError, match="not the name of a scene instance of SIDD: '0001_001_S7"):
-        load_instances(tmp_path / "sidd.csv")
 
 
 # --- CRVD -------------------------------------------------------------------------------------------------------------

@@ -169,14 +169,6 @@ def test_the_nearest_reference_is_by_the_clock_where_all_state_one(clock: bool, 
     assert told(found)["hall/b-dark.dng"][3] == f"hall/{'d' if clock else 'a'}-clean.dng"
 
 
-def test_a_copy_of_a_set_that_is_not_one_folder_deep(tmp_path: Path, demo_tree: Path) -> None:
-    """Raws that lie in the folder itself are one scene, called as the folder is."""
-    tree = tree_in(demo_tree)
-    shutil.copytree(tree.file(1).parent, tmp_path / "hallway")
-    found = sort_own_set(tmp_path / "hallway", "mine")
-    assert {one.scene for one in found.records} == {"hallway"}
-
-
 def test_one_frame_of_each_shot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """RAW and DNG, a copy, another spelling are named, not counted; no DNG beside its raw is a fault to verify."""
     folder = tmp_path / "MINE" / "hall"

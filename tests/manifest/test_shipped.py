@@ -15,8 +15,6 @@ from eldata.manifest.pairs import Choice
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import verify
 from manifests.generate import published
-from manifests.published_drv import load_splits, save_splits
-from manifests.published_lrd import load_lrd_scenes, save_lrd_scenes
 from tests.trees import build_published_tree
 
 EXTENSIONS = {"SonyA7S2": ".ARW", "NikonD850": ".nef", "CanonEOS70D": ".CR2", "CanonEOS700D": ".CR2"}
@@ -49,14 +47,6 @@ def test_committed_files_are_what_the_generator_writes(tmp_path: Path) -> None:
     assert set(published()) == set(shipped_names())
 
 
-def test_facts_are_written_as_they_are_read(tmp_path: Path) -> None:
-    drv, lrd = (shipped_folder() / "facts" / name for name in ("drv.csv", "lrd.csv"))
-    save_splits(tmp_path / "drv.csv", load_splits(drv))
-    save_lrd_scenes(tmp_path / "lrd.csv", load_lrd_scenes(lrd))
-    for path in (drv, lrd):
-        assert (tmp_path / path.name).read_bytes() == path.read_bytes()
-
-
 @pytest.fixture(scope="module")
 def eld() -> Manifest:
     return shipped_manifest("eld")
@@ -75,12 +65,6 @@ def test_every_file_is_listed_by_its_real_name(eld: Manifest) -> None:
     }
     assert len(eld.records) == 640
     assert {record.path for record in eld.records} == expected
-
-
-def test_fields_agree_with_the_path(eld: Manifest) -> None:
-    for record in eld.records:
-        assert (record.camera, record.scene) == tuple(record.path.split("/")[:2])
-        assert record.split == "test"
 
 
 def test_numbers_isos_factors_and_references(eld: Manifest) -> None:

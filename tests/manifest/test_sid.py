@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.errors import ArgumentError, ManifestError
-from eldata.manifest.card import find_subset, load_card
+from eldata.manifest.card import find_subset
 from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
 from eldata.manifest.pairs import Choice
 from eldata.manifest.verify import verify
-from manifests.sid_scenes import SID_CAMERAS, SONY, load_scenes, save_scenes, scenes_from_lists
+from manifests.sid_scenes import SID_CAMERAS, SONY, save_scenes, scenes_from_lists
 from tests.sid_tree import NAMES, SmallTree, build_small_tree
-from tests.trees import scale_exposure, swap
+from tests.trees import scale_exposure
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -138,11 +138,6 @@ def test_flags() -> None:
         assert any(flag in defect for defect in shipped_manifest(name).card.known_defects)
 
 
-def test_the_one_frame_of_uncertain_iso_states_none() -> None:
-    (record,) = [r for r in shipped_manifest("sid-sony").records if "uncertain-iso" in r.flags]
-    assert (record.path, record.iso, record.ratio) == ("Sony/short/00207_02_0.033s.ARW", None, Fraction(300))
-
-
 # --- subsets ------------------------------------------------------------------------------------------------------
 
 
@@ -175,22 +170,6 @@ def test_the_indoor_subset_is_15_scenes_at_each_ratio() -> None:
     assert times == {"0.1s.ARW": 100, "0.04s.ARW": 250, "0.033s.ARW": 300}
 
 
-@NAMED
-def test_every_subset_says_where_it_comes_from(name: str) -> None:
-    card = shipped_manifest(name).card
-    assert card.subsets[0].name == {"sid-sony": "eval-first", "sid-fuji": "test-first"}[name]
-    for subset in card.subsets:
-        assert subset.title
-        assert subset.source
-
-
-def test_a_subset_and_other_choices_together() -> None:
-    manifest = shipped_manifest("sid-sony")
-    assert len(subset_of(manifest, "eval-first", exclude_flags=["misaligned"])) == 124
-    assert len(subset_of(manifest, "eval-first", ratios=[300], split=["val"])) == 14
-    assert {pair.scene for pair in subset_of(manifest, "indoor-15", scenes=[10185])} == {"10185"}
-
-
 def test_an_unknown_subset_lists_the_known() -> None:
     known = shipped_manifest("sid-sony").card.subsets
     with pytest.raises(ArgumentError, match="'first'; known are eval-first, test-first, indoor-15, all"):
@@ -204,36 +183,6 @@ def test_a_subset_that_lost_pairs_is_refused() -> None:
     records = [record for record in manifest.records if record.path != "Sony/short/10185_00_0.1s.ARW"]
     with pytest.raises(ManifestError, match="'indoor-15': the card expects 45 pairs, the manifest has 44"):
         Choice(subset="indoor-15").pairs(records, manifest.card.subsets)
-
-
-@pytest.mark.parametrize(
-    ("filters", "said"),
-    [
-        ({"scenes": ["10002"]}, "no pair has scene 10002; known are 231, next to it .*10003, "),
-        ({"isos": [12]}, "no pair has ISO 12; known are 50, 64, 80, 100, .*25600$"),
-        ({"exclude_flags": ["blurred"]}, "no pair has flag blurred; known are misaligned, misaligned-unconfirmed"),
-    ],
-)
-def test_unknown_values_list_the_known(filters: dict[str, object], said: str) -> None:
-    with pytest.raises(ArgumentError, match=said):
-        Choice(**filters).pairs(shipped_manifest("sid-sony").records)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ('"pairs": 45', '"pairs": "45"', r"subsets\[2\].pairs: expected a whole number of 0 or more, found '45'"),
-        ('"name": "all"', '"name": "indoor-15"', r"subsets\[3\].name: 'indoor-15' names two subsets"),
-        ('"splits"', '"split"', r"subsets\[0\].split: is unknown"),
-        ('"pairs": 129,', "", r"subsets\[0\].pairs: expected a whole number of 0 or more, found nothing"),
-    ],
-)
-def test_malformed_subsets_are_named(old: str, new: str, said: str, tmp_path: Path) -> None:
-    text = (shipped_folder() / "sid-sony.json").read_text(encoding="utf-8")
-    assert old in text
-    (tmp_path / "card.json").write_text(text.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(ManifestError, match=said):
-        load_card(tmp_path / "card.json")
 
 
 # --- the generator ------------------------------------------------------------------------------------------------
@@ -275,12 +224,6 @@ def test_a_list_that_the_table_cannot_say_is_refused(lines: list[str], said: str
         scenes_from_lists(SONY, [path])
 
 
-def test_another_table_of_scenes_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "scenes.csv").write_text("scene,iso\n00001,200\n", encoding="utf-8")
-    with pytest.raises(ManifestError, match=r"expected the columns scene,iso,long,0\.1s,0\.04s,0\.033s"):
-        load_scenes(tmp_path / "scenes.csv")
-
-
 # --- verify -------------------------------------------------------------------------------------------------------
 
 # A scene of each split with shots at all three ratios, or two.
@@ -308,26 +251,6 @@ def problems(tree: SmallTree, level: Level = "metadata") -> list[Problem]:
 def frame(tree: SmallTree, exposure: str, burst: int = 0) -> str:
     name = tree.manifest.name
     return f"{LEFT[name].removesuffix('00_')}{burst:02d}_{exposure}s{FOLDERS[name][1]}"
-
-
-def test_a_good_copy_passes(tree: SmallTree) -> None:
-    assert problems(tree, "full") == []
-
-
-def test_a_missing_reference_folder(tree: SmallTree) -> None:
-    folder = f"{FOLDERS[tree.manifest.name][0]}/long"
-    shutil.rmtree(tree.data / folder)
-    (problem,) = problems(tree)
-    assert (problem.path, problem.expected) == (f"{folder}/", "2 files")
-    assert problem.advice == "unpack it there", "there is no other camera to choose"
-
-
-def test_swapped_exposures(tree: SmallTree) -> None:
-    """The short frame of 0.1 s under the name of that of 0.033 s: its exposure gives it away, and the ratio."""
-    first, second = frame(tree, "0.1"), frame(tree, "0.033")
-    swap(tree.data / first, tree.data / second)
-    found = [(problem.path, problem.field) for problem in problems(tree)]
-    assert found == [(path, field) for path in sorted((first, second)) for field in ("exposure_s", "ratio")]
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from eldata.demo.tree import METERED_S, demo_card, write_shot
 from eldata.errors import EldataError
 from eldata.manifest.card import Subset
 from eldata.manifest.catalogue import save_manifest
-from eldata.manifest.eld import NOISY_ISOS, EldCamera, eld_records
+from eldata.manifest.layouts import NOISY_ISOS, EldCamera, eld_records
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:

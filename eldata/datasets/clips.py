@@ -11,7 +11,7 @@ from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, DrawnItem, Part, shading_text
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.clips import choose_clips, clips_of, windows
-from eldata.manifest.drv import describe_layout
+from eldata.manifest.layouts import describe_layout
 from eldata.manifest.pairs import NOMINAL_RATIO, Choice
 from eldata.manifest.patterns import expand
 from eldata.sources.frames import stated_ratio

@@ -17,7 +17,7 @@ from eldata.demo.scenes import scene_radiance
 from eldata.errors import EldataError
 from eldata.manifest.card import CameraCard, Card
 from eldata.manifest.catalogue import save_manifest
-from eldata.manifest.eld import EldCamera, eld_records
+from eldata.manifest.layouts import EldCamera, eld_records
 from eldata.manifest.verify import verify
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure

@@ -27,7 +27,7 @@ from eldata.manifest.catalogue import (
     shipped_names,
 )
 from eldata.manifest.clips import choose_clips, clips_of, windows
-from eldata.manifest.drv import describe_layout
+from eldata.manifest.layouts import describe_layout
 from eldata.manifest.pair_checks import white_remarks
 from eldata.manifest.pairs import Choice, unpaired
 from eldata.manifest.patterns import expand, is_png

@@ -101,17 +101,13 @@ def pattern_faults(records: Iterable[FrameRecord], folder: Path) -> list[Problem
     problems = []
     for record in records:
         files = matching(folder, record.path) if is_pattern(record.path) else ()
+        names = [PurePosixPath(path).name for path in files]
         if record.role != "reference":
-            problems += _name_faults(PurePosixPath(record.path).parent, sequence_of(map(_name_of, files)))
+            problems += _name_faults(PurePosixPath(record.path).parent, sequence_of(names))
         elif len(files) > 1:
             advice = "which one is the reference is not known: move the others away"
-            found = ", ".join(map(_name_of, files))
-            problems.append(row_fault(record.path, "file", "one file", found, advice))
+            problems.append(row_fault(record.path, "file", "one file", ", ".join(names), advice))
     return problems
-
-
-def _name_of(path: str) -> str:
-    return PurePosixPath(path).name
 
 
 def _name_faults(folder: PurePosixPath, frames: FrameSequence) -> list[Problem]:

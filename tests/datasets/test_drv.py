@@ -18,7 +18,7 @@ from torch.utils.data import DataLoader
 
 from eldata.datasets.published.clips import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
-from eldata.manifest.drv import scan_raw
+from eldata.manifest.layouts import scan_raw
 from eldata.manifest.lock import lock
 from tests.drv_tree import (
     NOISY,

@@ -17,7 +17,7 @@ from eldata.download.fetching import archive_name, choose_parts
 from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.clips import FRAME_RANGES, Clip, choose_clips, clips_of, frame_range, windows
-from eldata.manifest.drv import UNUSED, describe_layout, scan_raw
+from eldata.manifest.layouts import UNUSED, describe_layout, scan_raw
 from eldata.manifest.lock import lock
 from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand, sequence_of

@@ -10,7 +10,7 @@ from eldata.datasets.clips import ClipWindows
 from eldata.errors import ArgumentError, ManifestError, check_choice
 from eldata.manifest.catalogue import FrameFiles, known_manifest, load_manifest, shipped_manifest
 from eldata.manifest.clips import moment_name
-from eldata.manifest.drv import DYNAMIC, scan_raw
+from eldata.manifest.layouts import DYNAMIC, scan_raw
 from eldata.manifest.pairs import Choice
 from eldata.sources.frames import Files, no_folder
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from eldata.datasets.items import Crops
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.clips import FrameRange
-    from eldata.manifest.drv import Scan
+    from eldata.manifest.layouts import Scan
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
     from eldata.raw.levels import Clip, FrameLevels
@@ -46,8 +46,8 @@ class DRVDataset(ClipWindows):
 
     Camera raws are packed Bayer, amplified by the exact exposure ratio of the files; dynamic ones, which have none, are
     not: ``ratio`` is 1. How the raw archives lie is not published. The files are looked for below ``root``
-    (:func:`eldata.manifest.drv.scan_raw`); ``dataset.layout`` and ``repr`` say what was found, and what cannot be told
-    is an error. A 20-megapixel frame takes 80 MB: choose a ``region`` (in packed pixels) or a ``crop`` for training.
+    (:func:`eldata.manifest.layouts.scan_raw`); ``dataset.layout`` and ``repr`` describe them, and what cannot be told is
+    an error. A 20-megapixel frame takes 80 MB: choose a ``region`` (in packed pixels) or a ``crop`` for training.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class DRVDataset(ClipWindows):
         The dynamic clips in place of the static ones.
     manifest
         A manifest's CSV file: in place of the shipped one, such as one that ``eldata lock`` has filled in; of camera
-        raws in place of looking for them, as :func:`~eldata.manifest.drv.scan_raw` saves it.
+        raws in place of looking for them, as :func:`~eldata.manifest.layouts.scan_raw` saves it.
     reference
         Of camera raws that are looked for: pattern of the references' file names, for copies with several raws in a
         folder below ``long``.

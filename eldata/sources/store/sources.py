@@ -12,7 +12,7 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import card_text
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest
 from eldata.manifest.clips import choose_clips, clips_of
-from eldata.manifest.drv import scan_raw
+from eldata.manifest.layouts import scan_raw
 from eldata.manifest.own import clean_raws
 from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand, is_pattern, is_png
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 # How calibration frames lie: <camera>/{bias,flat}/ISO<iso>/...
 _CALIBRATION = re.compile(r"(?:(?P<camera>[^/]+)/)?(?P<role>bias|flat)/ISO(?P<iso>[1-9][0-9]{0,8})/.+")
 
-# The name that a list of DRV's camera raws has (eldata.manifest.drv).
+# The name that a list of DRV's camera raws has (eldata.manifest.layouts).
 _RAW_CLIPS = "drv-raw"
 
 

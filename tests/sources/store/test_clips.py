@@ -11,7 +11,7 @@ import pytest
 
 from eldata.base.pixels import read_rgb16
 from eldata.errors import ArgumentError, DatasetError, FileError
-from eldata.manifest.drv import scan_raw
+from eldata.manifest.layouts import scan_raw
 from eldata.raw import read_raw
 from eldata.records import Exposure
 from eldata.sources.store import build_store, open_store, source_of_dataset, verify_store

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from fractions import Fraction
 from functools import partial
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from eldata.base.numbers import counted
@@ -171,10 +172,11 @@ def sort_own_set(
         else:
             place = frame.path.rpartition("/")[0] if fit is None else fit[1]
             scenes[place or folder.name, frame.model].append(frame)
-    count_of = Counter((_last(place), model) for place, model in scenes)
+    count_of = Counter((PurePosixPath(place).name, model) for place, model in scenes)
     titles: dict[tuple[str, str], str] = {}
     for (place, model), members in scenes.items():
-        title = _UNFIT.sub("-", _last(place) if count_of[_last(place), model] == 1 else place)
+        last = PurePosixPath(place).name
+        title = _UNFIT.sub("-", last if count_of[last, model] == 1 else place)
         other = titles.setdefault((title, members[0].camera), f"{place} of {model}")
         if other == f"{place} of {model}":
             rows, unclear = _sort_scene(title, members, reference)
@@ -226,10 +228,6 @@ def _read_frame(folder: Path, path: Path) -> _Frame:
 def _frame_of(header: RawHeader, path: str) -> _Frame:
     camera, exposure = _UNFIT.sub("", header.model), header.exposure
     return _Frame(path, header.model, camera, exposure.iso, exposure.exposure_s, header.taken)
-
-
-def _last(place: str) -> str:
-    return place.rpartition("/")[2]
 
 
 def _broken(path: str, error: Exception) -> Problem:

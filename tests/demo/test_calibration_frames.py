@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from eldata.base.workers import Workers
 from eldata.demo.body import Body, FixedFeatures
 from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
 from eldata.errors import ArgumentError
@@ -17,7 +16,6 @@ from eldata.manifest import verify
 from eldata.manifest.catalogue import load_manifest
 from eldata.raw.reading import read_raw
 from tests.calibration import draws
-from tests.demo.test_tree import digests
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -152,12 +150,6 @@ def test_the_truth_is_complete(truth: dict[str, Any]) -> None:
 
 
 # --- seeds and jobs ---------------------------------------------------------------------------------------------------
-
-
-def test_any_number_of_jobs_gives_the_same_bytes(made: tuple[Path, Manifest], tmp_path: Path) -> None:
-    make_calibration_frames(tmp_path, **SMALL, workers=Workers(2))
-    assert digests(tmp_path) == digests(made[0])
-    assert len(digests(tmp_path)) == 21
 
 
 # --- other cameras ----------------------------------------------------------------------------------------------------

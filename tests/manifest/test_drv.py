@@ -14,12 +14,11 @@ import pytest
 
 from eldata.base.pixels import read_png, read_png_header, read_rgb16, rgb_frame
 from eldata.download.fetching import archive_name, choose_parts
-from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
+from eldata.errors import ArgumentError, DatasetError, ManifestError
 from eldata.manifest.catalogue import shipped_manifest
-from eldata.manifest.clips import FRAME_RANGES, Clip, choose_clips, clips_of, frame_range, windows
+from eldata.manifest.clips import FRAME_RANGES, Clip, clips_of, frame_range, windows
 from eldata.manifest.layouts import UNUSED, describe_layout, scan_raw
 from eldata.manifest.lock import lock
-from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand, sequence_of
 from eldata.manifest.verify import verify
 from manifests.published_drv import splits_from_lists
@@ -39,8 +38,6 @@ from tests.trees import swap
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from eldata.manifest.verify_report import Level, VerifyReport
 
@@ -161,17 +158,6 @@ def test_named_frame_ranges() -> None:
     assert len(FRAME_RANGES) == 3
 
 
-def test_unknown_clips_and_splits_list_the_known() -> None:
-    records = shipped_manifest("drv").records
-    with pytest.raises(ArgumentError, match="no clip has split holidays; known are dynamic, test, train, val"):
-        choose_clips(records, (), Choice(split=["holidays"]))
-    of_val = [record for record in records if record.split == "val"]
-    with pytest.raises(ArgumentError, match=r"no clip has scene 0001; known are 0004, 0018"):
-        choose_clips(of_val, (), ids=["0001"])
-    with pytest.raises(ArgumentError, match="give scene values as a list"):
-        choose_clips(of_val, (), ids="0004")
-
-
 # --- patterns ---------------------------------------------------------------------------------------------------------
 
 
@@ -229,20 +215,6 @@ def test_png_samples_come_in_the_order_of_the_file(tmp_path: Path) -> None:
     assert np.array_equal(read_png(tmp_path / "x.png"), pixels)
 
 
-@pytest.mark.parametrize(
-    ("pixels", "kind"),
-    [
-        (np.zeros((4, 5), np.uint16), "16-bit grey"),
-        (np.zeros((4, 5, 3), np.uint8), "8-bit RGB"),
-        (np.zeros((4, 5, 4), np.uint16), "16-bit RGB with alpha"),
-    ],
-)
-def test_other_pngs_are_refused(pixels: NDArray[np.generic], kind: str, tmp_path: Path) -> None:
-    write_png(tmp_path / "x.png", pixels)
-    with pytest.raises(FileError, match=f"expected a 16-bit RGB PNG, found {kind}"):
-        read_rgb16(tmp_path / "x.png")
-
-
 # --- verify and lock, preprocessed ------------------------------------------------------------------------------------
 
 
@@ -271,10 +243,6 @@ def truncate(data: Path) -> None:
     (data / FRAME).write_bytes((data / FRAME).read_bytes()[:-50])
 
 
-def empty(data: Path) -> None:
-    (data / FRAME).write_bytes(b"")
-
-
 def misnumber(data: Path) -> None:
     (data / FRAME).rename((data / FRAME).with_name("0017.png"))
 
@@ -299,23 +267,17 @@ def two_references(data: Path) -> None:
     shutil.copy(data / "long/0007/half0001_0.png", data / "long/0007/half0001_1.png")
 
 
-def no_folder(data: Path) -> None:
-    shutil.rmtree(data / "VBM4D_rawRGB/0007")
-
-
 @pytest.mark.parametrize(
     ("damage", "level", "expected"),
     [
         (delete, "quick", [("VBM4D_rawRGB/0007", "number")]),
         (truncate, "metadata", [(FRAME, "content")]),
-        (empty, "quick", [(FRAME, "size_bytes")]),
         (misnumber, "quick", [("VBM4D_rawRGB/0007", "number")] * 2),
         (add_copy, "quick", [("VBM4D_rawRGB/0007/0004 (1).png", "name")]),
         (convert, "metadata", [(FRAME, "content")]),
         (resize, "metadata", [(FRAME, "size")]),
         (no_reference, "quick", [("long/0007/half0001*.png", "file")]),
         (two_references, "quick", [("long/0007/half0001*.png", "file")]),
-        (no_folder, "quick", [("VBM4D_rawRGB/0007/", "folder")]),
     ],
 )
 def test_what_shows_before_the_files_are_listed(
@@ -346,23 +308,6 @@ def test_locking_lists_the_files(drv: SmallDrv) -> None:
     assert (drv.csv.read_bytes(), drv.csv.with_suffix(".json").read_bytes()) == before
 
 
-@pytest.mark.parametrize(
-    ("damage", "expected"),
-    [
-        (delete, [(FRAME, "file")]),
-        (add_copy, [("VBM4D_rawRGB/0007/0004 (1).png", "file")]),
-        (lambda data: swap(data / FRAME, data / "VBM4D_rawRGB/0007/0005.png"), [(FRAME, "sha256")]),
-    ],
-)
-def test_what_shows_once_the_files_are_listed(
-    damage: Callable[[Path], None], expected: list[tuple[str, str]], drv: SmallDrv
-) -> None:
-    lock(drv.csv, drv.root)
-    damage(drv.data)
-    shown = found(drv, "full")
-    assert set(expected) <= set(shown)
-
-
 def test_other_pictures_beside_a_reference_are_no_problem(drv: SmallDrv) -> None:
     """The folders below long hold more than the reference: camera raws among them."""
     lock(drv.csv, drv.root)
@@ -388,15 +333,6 @@ def test_raws_are_found_wherever_the_archives_were_unpacked(short: str, tmp_path
         assert record.split == {"0007": "test", "0013": "test", "M0003": "dynamic"}[record.scene]
         if record.role == "noisy":
             assert record.reference == (None if record.scene == "M0003" else f"long/{record.scene}/DSC00001.ARW")
-
-
-def test_parts_in_folders_of_their_own(tmp_path: Path) -> None:
-    write_raw_clip(tmp_path, "0007", 2, short="short1")
-    write_raw_clip(tmp_path, "0013", 2, short="short4")
-    kinds = describe_layout(scan_raw(tmp_path).records).split("; ")
-    assert [kind.partition(":")[0] for kind in kinds[:3]] == [
-        *("noisy short1/<clip>/DSC<n>.ARW", "noisy short4/<clip>/DSC<n>.ARW", "reference long/<clip>/DSC<n>.ARW")
-    ]
 
 
 @pytest.mark.parametrize(

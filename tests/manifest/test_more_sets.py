@@ -20,7 +20,7 @@ from eldata.manifest.catalogue import (
     shipped_names,
 )
 from eldata.manifest.pairs import Choice
-from manifests.published_lrid import Burst, bursts_from_infos, load_bursts, save_bursts
+from manifests.published_lrid import bursts_from_infos
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -66,14 +66,6 @@ def test_lrid_states_what_its_names_do() -> None:
             assert record.iso == int(stated[2]) == int(iso)
             assert (record.scene, record.ratio) == (f"{part}-{scene}", Fraction(gain))
             assert record.reference == f"{part}/npy/GT_align_ours/{scene}.npy"
-
-
-def test_lrid_splits_are_the_scenes_that_the_published_code_scores() -> None:
-    records = shipped_manifest("lrid").records
-    scored = {split: {r.scene for r in records if r.split == split} for split in ("eval", "test")}
-    assert scored["eval"] == {f"indoor_x5-{number:03d}" for number in (4, 14, 25, 41, 44, 51, 52, 53, 58)}
-    assert scored["test"] == {f"outdoor_x3-{number:03d}" for number in (9, 21, 22, 32, 44, 51)}
-    assert {record.split for record in records if record.role != "bias"} == {"eval", "test", "train"}
 
 
 def test_lrid_subsets_are_first_frames_of_bursts() -> None:
@@ -139,19 +131,6 @@ def info_files(folder: Path, change: Any = None) -> Path:
     return folder
 
 
-def test_lrid_bursts_from_info_files(tmp_path: Path) -> None:
-    found = bursts_from_infos(info_files(tmp_path / "infos"))
-    assert len(found) == 3 * 2 * 2
-    frames = ("200100@2022_08_20_23_41_54_310_334174236307560", "200110@2022_08_20_23_41_54_311_334174236307561")
-    assert found[3] == Burst("indoor_x5", "001", 2, 20000000, 180, frames)
-    assert found[3].names[0] == (
-        "indoor_x5/6400/2/001/200100_exp-20000000_iso-6400_2022_08_20_23_41_54_310_334174236307560_orientation_180_"
-        "camera-0.dng"
-    )
-    save_bursts(tmp_path / "facts.csv", found)
-    assert load_bursts(tmp_path / "facts.csv") == found
-
-
 def test_an_info_file_is_not_run(tmp_path: Path) -> None:
     class Harmful:
         def __reduce__(self) -> tuple[Any, ...]:
@@ -162,20 +141,6 @@ def test_an_info_file_is_not_run(tmp_path: Path) -> None:
 
     assert len(bursts_from_infos(info_files(tmp_path / "infos", add))) == 12
     assert not (tmp_path / "ran").exists()
-
-
-def test_info_files_that_the_table_could_not_say(tmp_path: Path) -> None:
-    def other_exposure(shorts: dict[int, Any], references: list[Any]) -> None:
-        data = shorts[1][0]["data"]
-        data[0] = data[0].replace("exp-40000000", "exp-50000000")
-
-    def lost_reference(shorts: dict[int, Any], references: list[Any]) -> None:
-        references.pop()
-
-    with pytest.raises(ManifestError, match="indoor_x5, gain 1, scene 000: frames differ"):
-        bursts_from_infos(info_files(tmp_path / "infos", other_exposure))
-    with pytest.raises(ManifestError, match="the references of indoor_x5 are not those of its scenes"):
-        bursts_from_infos(info_files(tmp_path / "infos", lost_reference))
 
 
 # --- SIDD -------------------------------------------------------------------------------------------------------------

@@ -17,13 +17,12 @@ import tifffile
 from eldata import evaluate
 from eldata.base.files import sha256_of
 from eldata.cli.main import main
-from eldata.datasets import CalibrationFrames, CleanClips, CleanFrames, DarkFrames, PairDataset, SyntheticPairs
+from eldata.datasets import CalibrationFrames, CleanClips, CleanFrames, PairDataset, SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError, RawFileError, UnusableRawError
 from eldata.evaluation import scored_pairs
 from eldata.manifest import load_manifest, verify
 from eldata.manifest.card import CameraCard, Card, load_card, save_card
 from eldata.manifest.catalogue import FrameFiles, save_manifest
-from eldata.noise import DarkShading
 from eldata.raw import bayer_cfa, pack, pack_normalised, read_raw, write_dng
 from eldata.raw.levels import packed_frame
 from eldata.raw.stated import MosaicFacts, StatedFile
@@ -180,10 +179,8 @@ def test_a_file_of_which_nothing_is_stated_is_refused(tmp_path: Path) -> None:
     ("mosaic", "word"),
     [
         (np.zeros((4, 4, 3), np.uint16), "mosaic of numbers"),
-        (np.full((4, 4), -1, np.int16), "DN from 0"),
         (np.full((4, 4), 1 << 16, np.uint32), "DN from 0"),
         (np.full((4, 4), np.nan, np.float32), "not finite"),
-        (np.ones((4, 4), np.complex64), "mosaic of numbers"),
     ],
 )
 def test_what_is_no_mosaic_is_named(mosaic: NDArray[Any], word: str, tmp_path: Path) -> None:
@@ -285,18 +282,6 @@ def test_levels_that_do_not_fit_are_found_by_verify_and_never_scored(tmp_path: P
     assert all("black 0 and white 1" in str(problem) for problem in result.problems)
     with pytest.raises(EldataError, match="black 0 and white 1"):
         list(scored_pairs(None, "own", manifest=path, root=root, baseline="input"))
-
-
-def test_borders_of_arrays_are_named_once_and_read(tmp_path: Path) -> None:
-    path = own_set(tmp_path, "npy", FACTS)
-    for file in (tmp_path / "data").rglob("*.npy"):
-        mosaic = np.load(file)
-        mosaic[-4:] = 0
-        np.save(file, mosaic)
-    report = verify([load_manifest(path)], tmp_path / "data", level="full")
-    (remark,) = report.datasets[0].remarks
-    assert (report.problems, remark.files) == ((), 4)
-    assert "4 at the bottom (of 0 DN) of its 48 rows and 64 columns hold no picture" in remark.text
 
 
 def test_numbers_without_a_header_need_a_shape_and_are_looked_through(tmp_path: Path) -> None:
@@ -421,20 +406,3 @@ def test_bias_frames_in_arrays_calibrate_as_raws_do(tmp_path: Path) -> None:
     np.save(tmp_path / "data" / "own" / "0.npy", mosaic_of(NOISY, 0).astype(np.float32) + 0.5)
     with pytest.raises((DatasetError, RawFileError), match="whole DN"):
         frames.read(frames.records[0])
-
-
-def test_bias_frames_in_arrays_are_dark_frames_and_shading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """To the bit those of the same mosaics in DNG files."""
-    found = {}
-    for kind in ("npy", "dng"):
-        path = bias_set(tmp_path / kind, kind, 6, (256, 320))
-        monkeypatch.setenv("ELDATA_ROOT", str(tmp_path / kind / "data"))
-        assert main(["calibrate", str(path), "--dark-shading", str(tmp_path / f"{kind}.npz")]) == 0
-        dark, shading = DarkFrames(path), DarkShading.load(tmp_path / f"{kind}.npz")
-        drawn = dark.draw(800, 2, (4, 16, 16), np.random.default_rng(0))
-        corrected = DarkFrames(path, shading=shading).draw(800, 2, (4, 16, 16), np.random.default_rng(0))
-        assert corrected.shading_dn is not None
-        assert len(dark.names(800)) == 6
-        found[kind] = drawn.dn, drawn.black_level_dn, corrected.shading_dn, shading.at(800, slice(None), slice(None))
-    for arrays, raws in zip(found["npy"], found["dng"], strict=True):
-        np.testing.assert_array_equal(arrays, raws)

@@ -47,14 +47,6 @@ def test_each_filter(filters: dict[str, Any], field: str, found: set[object], co
     assert len(pairs) == count
 
 
-def test_filters_together() -> None:
-    pairs = Choice(cameras=["SonyA7S2"], scenes=[2], isos=[800], ratios=[200]).pairs(RECORDS)
-    assert len(pairs) == 1
-    assert pairs[0].path == "SonyA7S2/scene-2/IMG_0005.ARW"
-    assert pairs[0].reference == "SonyA7S2/scene-2/IMG_0006.ARW"
-    assert pairs[0].exposure_s == Fraction(1, 500)
-
-
 @pytest.mark.parametrize(
     ("filters", "said"),
     [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from functools import cache
 from itertools import product
 from typing import TYPE_CHECKING
@@ -53,50 +52,6 @@ def chosen_pairs(dataset: str, subset: str | None, camera: str, ratios: tuple[fl
 def only(rows: tuple[PublishedRow, ...], **wanted: object) -> PublishedRow:
     (row,) = [row for row in rows if all(getattr(row, name) == value for name, value in wanted.items())]
     return row
-
-
-def test_the_counts() -> None:
-    """Per table: cameras x factors x methods, counted by hand in the public text."""
-    found = Counter((row.source, row.table, row.dataset) for row in ROWS)
-    assert found == {
-        ("wei2021", "2", "sid-sony"): 3 * 12,
-        ("wei2021", "3", "eld"): 4 * 2 * 7,
-        ("wei2021", "4", "sid-fuji"): 3 * 6,
-        ("wei2021", "5", "sid-sony"): 3 * 5,
-        ("wei2021", "6", "sid-sony"): 3 * 6,
-        ("wei2021", "7", "drv-raw"): 6,
-        ("wei2021", "8", "eld-dynamic"): 5,
-        ("feng2022", "corrected", "eld"): 2 * 5,
-        ("feng2022", "corrected", "sid-sony"): 3 * 5,
-        ("feng2022", "uncorrected", "eld"): 2 * 5,
-        ("feng2022", "uncorrected", "sid-sony"): 3 * 5,
-        ("feng2022", "log ELD", "eld"): 2 * 2,  # the network and its input
-        ("feng2022", "log ELD", "sid-sony"): 3 * 2,
-        ("feng2022", "log Paired", "eld"): 2,
-        ("feng2022", "log Paired", "sid-sony"): 3,
-        ("feng2022", "log PMN", "eld"): 2,
-        ("feng2022", "log PMN", "sid-sony"): 3,
-        ("feng2024", "log", "eld"): 2,
-        ("feng2024", "log", "sid-sony"): 3,
-        ("feng2024", "results", "eld"): 2 * (6 - 3),  # three methods repeat the logs
-        ("feng2024", "results", "sid-sony"): 3 * (6 - 3),
-        ("feng2023", "results", "eld"): 2 * (9 - 4),  # four repeat earlier tables
-        ("feng2023", "results", "sid-sony"): 3 * (9 - 4),
-        ("feng2023", "log PNNP", "eld"): 2,
-        ("feng2023", "log PNNP", "sid-sony"): 3,
-        ("feng2023", "log PMN+PNNP", "eld"): 2,
-        ("feng2023", "log PMN+PNNP", "sid-sony"): 3,
-        ("li2025", "1", "eld"): 2 * (11 - 7),  # seven repeat earlier tables
-        ("li2025", "1", "sid-sony"): 3 * (11 - 7),
-        ("wang2023", "4", "sid-sony"): 3 * 4 * 2,
-        ("wang2023", "5", "sid-sony"): 3 * 2 * 3 * 2,
-        ("jin2023", "1", "eld"): 1,
-        ("jin2023", "1", "sid-sony"): 1,
-        ("chen2018", "3", "sid-sony"): 1,
-        ("chen2018-retests", "issue 45", "sid-sony"): 2,
-        ("chen2018-retests", "issue 52", "sid-sony"): 1,
-        ("chen2018-retests", "issue 120", "sid-sony"): 1,
-    }
 
 
 # Averages over the factors as the tables print them: PSNR and SSIM of ELD Sony (60 pairs), then of SID Sony (129).
@@ -156,26 +111,6 @@ def test_the_readme_of_pmn_and_its_logs() -> None:
             apart.add((row.method, row.dataset, row.ratio, row.ssim, log.ssim))
             assert f"{log.ssim:.4f}" in row.note
     assert apart == {("ELD", "sid-sony", 100, 0.963, 0.953), ("PMN", "eld", 200, 0.973, 0.9708)}
-
-
-def test_the_noisy_input() -> None:
-    """Of the logs without correction; less its dark shading it is better everywhere, as PNNP's logs have it."""
-    found = {
-        (row.dataset, row.ratio): (row.psnr_db, row.ssim)
-        for row in ROWS
-        if row.method == NOISY_INPUT and row.protocols in (("eld-uncorrected",), ("sid-uncorrected",))
-    }
-    assert found == {
-        ("eld", 100): (30.98, 0.4878),
-        ("eld", 200): (25.95, 0.2195),
-        ("sid-sony", 100): (29.21, 0.5213),
-        ("sid-sony", 250): (23.77, 0.3286),
-        ("sid-sony", 300): (22.26, 0.2691),
-    }
-    for (dataset, ratio), (psnr_db, ssim) in found.items():
-        without = only(ROWS, dataset=dataset, ratio=ratio, method="noisy input less dark shading")
-        assert without.psnr_db > psnr_db
-        assert (without.ssim or 0) > (ssim or 1)
 
 
 def test_every_source_and_table_is_used() -> None:

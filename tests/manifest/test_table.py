@@ -335,14 +335,6 @@ def test_any_text_comes_back_from_a_cell_that_is_no_formula(text: str) -> None:
     assert text_of_cell(cell) == text
 
 
-@pytest.mark.parametrize(
-    ("text", "cell"),
-    [("=1+1", "'=1+1"), ("'=1", "''=1"), ("'a", "'a"), ("a=1", "a=1"), ("", ""), ("-1", "'-1"), ("\tx", "'\tx")],
-)
-def test_cells_of_texts(text: str, cell: str) -> None:
-    assert cell_of_text(text) == cell
-
-
 def test_a_manifest_with_names_that_look_like_formulas(path: Path) -> None:
     reference = replace(REFERENCE, path="=cmd|'/c calc'!A1.ARW", scene="-1", split="+x")
     noisy = replace(NOISY, path="@SUM(1).ARW", reference=reference.path, flags=("-a", "b"))

@@ -46,8 +46,8 @@ class DRVDataset(ClipWindows):
 
     Camera raws are packed Bayer, amplified by the exact exposure ratio of the files; dynamic ones, which have none, are
     not: ``ratio`` is 1. How the raw archives lie is not published. The files are looked for below ``root``
-    (:func:`eldata.manifest.layouts.scan_raw`); ``dataset.layout`` and ``repr`` describe them, and what cannot be told is
-    an error. A 20-megapixel frame takes 80 MB: choose a ``region`` (in packed pixels) or a ``crop`` for training.
+    (:func:`eldata.manifest.layouts.scan_raw`); ``dataset.layout`` and ``repr`` describe them; what cannot be told is an
+    error. A 20-megapixel frame takes 80 MB: choose a ``region`` (in packed pixels) or a ``crop`` for training.
 
     Parameters
     ----------

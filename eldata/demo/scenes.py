@@ -161,7 +161,7 @@ class _Stage:
         return edges[0], edges[1]
 
     def pixel(self, x: float, y: float) -> tuple[float, float]:
-        """Return where a place lies in the picture, in pixels from the left and from the top."""
+        """Return a place in the picture, in pixels from the left and from the top."""
         height, width = self.gloss.shape
         return x * self.scale + width / 2, y * self.scale + height / 2
 

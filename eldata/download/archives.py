@@ -94,7 +94,7 @@ def read_members(path: Path) -> list[Member]:
 
 
 def read_format(path: Path) -> str:
-    """Return what an archive is by its first bytes, one of :data:`FORMATS`; raises like :func:`read_members`."""
+    """Return an archive's format by its first bytes, one of :data:`FORMATS`; raises like :func:`read_members`."""
     with path.open("rb") as file:
         head = file.read(64)
     for mark, form in FORMATS.items():

@@ -119,7 +119,7 @@ def find_targets(
 
 
 def count_listed(paths: Iterable[str], listed: Iterable[str]) -> int:
-    """Return how many paths a manifest lists, by name or by pattern."""
+    """Count the paths that a manifest lists, by name or by pattern."""
     ends = _index_ends(listed)
     return sum("" in _find_end(ends, path)[1] for path in paths)
 
@@ -136,7 +136,7 @@ def _index_ends(listed: Iterable[str]) -> _Ends:
 
 
 def _find_end(ends: _Ends, name: str) -> tuple[str, set[str]]:
-    """Return what lies above a member in the archive, and what above its listed namesakes in the dataset."""
+    """Return the folders above a member in the archive, and those above its listed namesakes in the dataset."""
     *folders, file = name.split("/")
     for start in range(len(folders) + 1):  # the longest end that is listed says most
         held = ends.get("/".join(folders[start:]), {})

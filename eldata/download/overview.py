@@ -183,7 +183,7 @@ def format_downloads(downloads: Iterable[Download]) -> list[str]:
 
 
 def presence_of(folder: Path, records: Iterable[FrameRecord]) -> Presence:
-    """Return how much of what is listed is in a folder, by names and sizes alone."""
+    """Count the listed files that are in a folder, by names and sizes alone."""
     paths = [record.path for record in records]
     files = [matching(folder, path) if is_pattern(path) else (path,) for path in paths]
     present = sum(any(_is_there(folder / file) for file in of_row) for of_row in files)
@@ -199,13 +199,13 @@ def _is_there(path: Path) -> bool:
 
 
 def overview(manifest: Manifest, root: Path | str | None = None) -> Overview:
-    """Return what is known about a dataset, and how much of it lies below ``root``."""
+    """Describe a dataset, and how much of it lies below ``root``."""
     presence = presence_of(manifest.folder(root), manifest.records)
     return Overview(manifest.card, data_root(root), manifest, presence)
 
 
 def overview_of(name: str, root: Path | str | None = None) -> Overview:
-    """Return what is known about a dataset by its name.
+    """Describe a dataset by its name.
 
     Raises
     ------

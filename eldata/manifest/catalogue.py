@@ -66,7 +66,7 @@ class FrameFiles:
         return cls(folder, stated)
 
     def at(self, path: str) -> Path | StatedFile:
-        """Return what :func:`eldata.raw.read_raw` reads of a path.
+        """Return a path's file for :func:`eldata.raw.read_raw`, with what its card states.
 
         Raises
         ------
@@ -108,15 +108,15 @@ class Manifest:
         return self.card.name
 
     def stated_folder(self, root: Path | str | None = None) -> Path:
-        """Return where the dataset belongs below a data root (see :func:`data_root`)."""
+        """Return the folder where the dataset belongs below a data root (see :func:`data_root`)."""
         return data_root(root) / self.card.folder
 
     def folder(self, root: Path | str | None = None) -> Path:
-        """Return where the dataset lies below a data root, or in it, as :meth:`folder_at` finds it."""
+        """Find the dataset's folder below a data root, or in it, by :meth:`folder_at`."""
         return self.folder_at(self.stated_folder(root), data_root(root))
 
     def own_folder(self, root: Path | str | None) -> Path:
-        """Return where the dataset lies if ``root`` is meant to be its own folder; ``None``: below the data root."""
+        """Find the dataset's folder if ``root`` is meant to be it; ``None``: below the data root."""
         return self.folder() if root is None else self.folder_at(Path(root), Path(root))
 
     def folder_at(self, expected: Path, *places: Path) -> Path:
@@ -165,7 +165,7 @@ def data_root(root: Path | str | None = None) -> Path:
 
 
 def is_manifest(place: Path | str) -> bool:
-    """Return whether a place names a manifest: a CSV file, or a known set's name that no folder here has."""
+    """Tell whether a place names a manifest: a CSV file, or a known set's name that no folder here has."""
     suffix = Path(place).suffix.lower()
     return suffix == ".csv" or (not suffix and str(place) in known_names() and not Path(place).exists())
 
@@ -261,7 +261,7 @@ def shipped_names() -> tuple[str, ...]:
 
 
 def carded_names() -> tuple[str, ...]:
-    """Return the names of the sets with a shipped card: those of the manifests, and some whose files no text lists."""
+    """Return the names of the sets with a shipped card; some have no manifest, since no text lists their files."""
     return tuple(sorted(path.stem for path in shipped_folder().glob("*.json")))
 
 
@@ -309,7 +309,7 @@ def registered_names() -> tuple[str, ...]:
 
 
 def registered_place(name: str, own: str | None = None) -> str | None:
-    """Return what a name stands for: ``own``, what eldata has of that name, or ``module:Class``; ``None``: nothing.
+    """Resolve a name to ``own``, if eldata has it, or to another package's ``module:Class``; ``None``: it is unknown.
 
     Raises
     ------
@@ -379,7 +379,7 @@ def known_manifest(name: str) -> Manifest:
 
 
 def known_manifests(root: Path | str | None = None) -> tuple[tuple[Manifest, ...], tuple[str, ...]]:
-    """Return what the files of all known sets are checked against, and, of those that cannot be loaded, why.
+    """Load the manifests of all known sets as files are checked against them, and say why some cannot be loaded.
 
     What another package registers must not keep the rest from being used.
     """
@@ -399,7 +399,7 @@ def _unknown(name: str, known: Collection[str]) -> str:
 
 
 def locked_path(name: str, root: Path | str | None = None) -> Path:
-    """Return where ``eldata lock NAME`` writes: a known set's manifest with the sizes and hashes of a copy.
+    """Return the path that ``eldata lock NAME`` writes: a known set's manifest with a copy's sizes and hashes.
 
     Beside the data that it is about, not in the package, which the next update would replace.
     """
@@ -407,7 +407,7 @@ def locked_path(name: str, root: Path | str | None = None) -> Path:
 
 
 def checking_manifest(name: str, root: Path | str | None = None) -> Manifest:
-    """Load what a set's files are checked against: its manifest as locked for this copy, else as it is known.
+    """Load the manifest that a set's files are checked against: as locked for this copy, else as known.
 
     Raises
     ------
@@ -427,7 +427,7 @@ def checking_manifest(name: str, root: Path | str | None = None) -> Manifest:
 
 
 def is_name(text: Path | str) -> bool:
-    """Whether a text is to be taken for a set's name: it is known, or it looks like one, and is not a file."""
+    """Tell whether a text is a set's name: it is known, or it looks like one, and is not a file."""
     if not isinstance(text, str) or not text or Path(text).name != text:
         return False
     return text in known_names() or not (Path(text).suffix or Path(text).exists())
@@ -437,7 +437,7 @@ def find_manifests(where: Path | str | Iterable[Path | str], root: Path | str | 
     """Load one manifest (a CSV file), all of a folder, a known set's by its name, or several of these.
 
     A known name is a name: a folder of that name is ``./eld``. With ``root``, the folder that holds the datasets, what
-    ``eldata lock NAME`` has recorded there is taken in place of the known manifest.
+    ``eldata lock NAME`` has recorded there is taken instead of the known manifest.
 
     Raises
     ------

@@ -83,7 +83,7 @@ class Clip:
     ratio: Fraction | None = None
 
     def continuous(self, start: int, stop: int) -> bool:
-        """Return whether no number is missing between the frames at these positions."""
+        """Tell whether no number is missing between the frames at these positions."""
         return self.numbers is None or self.numbers[stop - 1] - self.numbers[start] == stop - 1 - start
 
 
@@ -98,7 +98,7 @@ class ClipRecord:
     start
         Position of the first one in the clip.
     reference, references, iso, ratio
-        As of :class:`Clip`; ``references`` are those of these frames.
+        As of :class:`Clip`; ``references`` belong to these frames.
     """
 
     paths: tuple[str, ...]
@@ -117,7 +117,7 @@ class ClipRecord:
         return self.paths[0]
 
     def reference_of(self, path: str) -> str | None:
-        """Return what one of its frames is compared with, if there is anything."""
+        """Return the reference of one of its frames, if it has one."""
         return self.references[self.paths.index(path)] if self.references else self.reference
 
 
@@ -151,7 +151,7 @@ def choose_clips(
     *,
     ids: Collection[str] | None = None,
 ) -> tuple[FrameRecord, ...]:
-    """Return the rows of the chosen clips: those of whose noisy frames one is chosen.
+    """Return the rows of the chosen clips; a clip is chosen if one of its noisy frames is.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def choose_clips(
 
 
 def _of_ids(chosen: Iterable[FrameRecord], every: Iterable[FrameRecord], ids: Collection[str]) -> list[FrameRecord]:
-    """Return those of the chosen rows whose clips, or sequences, have these names."""
+    """Return the chosen rows whose clips, or sequences, have these names."""
     clips_in: dict[str, list[str]] = defaultdict(list)
     for row in every:
         moment = moment_of(row.scene)

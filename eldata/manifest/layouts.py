@@ -228,7 +228,7 @@ def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
 
 
 def _kind_and_clip(path: Path, clips: Collection[str], reference: str) -> tuple[str, str]:
-    """Return what a raw file is (a role, ``unused``, or empty if its folders do not say) and its clip."""
+    """Return a raw file's kind (a role, ``unused``, or empty if its folders do not say) and its clip."""
     folders = path.parts[:-1]
     named = [part for part in folders if part in clips]
     long = any(part.casefold() == "long" for part in folders)

@@ -48,7 +48,7 @@ _WHICH = "say which are references with --reference PATTERN, or where a scene's 
 
 @dataclass(frozen=True, slots=True)
 class OwnSet:
-    """What a folder of raws was taken for.
+    """A manifest of one's own raws, and its problems.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class _Frame(NamedTuple):
 def sort_own_set(
     folder: Path, name: str, *, reference: str | None = None, scene: str | None = None, workers: AnyWorkers = 1
 ) -> OwnSet:
-    """Say what each raw below a folder is: reference, noisy frame of which reference and ratio, bias or flat frame.
+    """Sort the raws below a folder into references, noisy frames with their reference and ratio, bias and flat frames.
 
     Frames below a folder ``bias`` or ``flat`` are calibration frames. A noisy frame belongs to the reference of its
     scene and camera that was taken nearest to it, by the clock where all of them state a time, else by their names'
@@ -136,7 +136,7 @@ def sort_own_set(
     name
         Of the set.
     reference
-        Pattern of the references' paths below the folder, with ``*`` and ``?`` as in a shell, in place of exposures.
+        Pattern of the references' paths below the folder, with ``*`` and ``?`` as in a shell, instead of exposures.
     scene
         Pattern of all paths with ``{scene}`` where a scene's name stands, such as ``*/{scene}_*``; ``*`` ends at a
         folder. Without it, a scene is a folder; where two of a camera have one name, their paths are their names.
@@ -311,7 +311,7 @@ def clean_raws(folder: Path, reference: str | None = None) -> list[Path]:
     folder
         Searched through at any depth.
     reference
-        Pattern of the clean frames' paths below it, with ``*`` and ``?``, in place of all this.
+        Pattern of the clean frames' paths below it, with ``*`` and ``?``, instead of all this.
 
     Raises
     ------

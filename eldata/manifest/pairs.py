@@ -95,12 +95,12 @@ class Choice:
 
 
 def splits_of(split: str | Collection[str] | None) -> Collection[str] | None:
-    """Return one split, or several, as several."""
+    """Return one split, or several, as a collection."""
     return (split,) if isinstance(split, str) else split
 
 
 def unpaired(records: Iterable[FrameRecord], subset: Subset) -> tuple[FrameRecord, ...]:
-    """Return the noisy rows of a subset of which none has a reference, as of a benchmark; nothing of any other."""
+    """Return the noisy rows of a subset without references, such as a benchmark's; none of any other subset."""
     held = [record for record in records if record.role == "noisy" and subset.holds(record)]
     return () if any(record.reference is not None for record in held) else tuple(held)
 
@@ -108,12 +108,12 @@ def unpaired(records: Iterable[FrameRecord], subset: Subset) -> tuple[FrameRecor
 def filter_rows(
     chosen: Sequence[Item], every: Sequence[Item], what: str, wanted: Mapping[str, Collection[object] | None]
 ) -> list[Item]:
-    """Return those of the chosen pairs (or rows of clips) that have a wanted value of each kind.
+    """Return the chosen pairs (or rows of clips) that have a wanted value of each kind.
 
     Parameters
     ----------
     chosen, every
-        What is filter_rows, and what the known values are of.
+        The items to filter, and all items, whose values are known.
     what
         ``"pair"`` or ``"clip"``, for messages.
     wanted

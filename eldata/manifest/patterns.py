@@ -29,12 +29,12 @@ _DIGITS = re.compile(r"([0-9]+)")
 
 
 def is_pattern(path: str) -> bool:
-    """Return whether a row's path stands for all files that it matches."""
+    """Tell whether a row's path is a pattern, which stands for all files that it matches."""
     return "*" in path
 
 
 def is_png(path: str) -> bool:
-    """Return whether a row is a PNG file."""
+    """Tell whether a path is a PNG file's."""
     return path.lower().endswith(".png")
 
 

@@ -79,7 +79,7 @@ def _parse(file: TextFile) -> tuple[FrameRecord, ...]:
 
 
 def _parse_cells(file: TextFile, name: str, cells: Sequence[str], lines: Sequence[int]) -> Sequence[object]:
-    """Return what the cells of one column hold."""
+    """Parse the cells of one column."""
     if name == "path" and all(map(_PLAIN_PATH.fullmatch, cells)):
         return cells
     values: list[object] = []

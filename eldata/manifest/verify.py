@@ -1,4 +1,4 @@
-"""Are the files on the disk what the manifest says? Finds and lists every problem; never writes.
+"""Verifying files on the disk against manifests: every problem is found and listed, nothing is written.
 
 Levels, each with those before it:
 
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.files import inside, visible_below
 from eldata.base.workers import AnyWorkers, Failed, Workers
-from eldata.errors import ArgumentError, ManifestError, did_you_mean
+from eldata.errors import ManifestError, check_choice, did_you_mean
 from eldata.manifest.catalogue import FrameFiles, Manifest, find_manifests
 from eldata.manifest.file_checks import CheckedFile, check_file
 from eldata.manifest.pair_checks import clip_faults, pattern_faults, png_size_faults, ratio_faults, white_remarks
@@ -57,9 +57,9 @@ def verify(
     root
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
     cameras
-        Check just these cameras' files, if you have only part of a dataset.
+        Only these cameras' files are checked, for who has a part of a dataset.
     level
-        See the module's text.
+        How deep to look; see the module's text.
     workers
         Number of worker processes, or an executor that looks into the files (:mod:`eldata.base.workers`).
 
@@ -76,8 +76,7 @@ def verify(
     0
     """
     workers = Workers.of(workers)
-    if level not in LEVELS:
-        raise ArgumentError(f"level must be one of {', '.join(LEVELS)}; found {level!r}")
+    check_choice("level", level, LEVELS)
     chosen = list(find_manifests(manifests, root) if isinstance(manifests, (str, Path)) else manifests)
     known = sorted({camera for manifest in chosen for camera in manifest.card.cameras})
     for camera in cameras or ():

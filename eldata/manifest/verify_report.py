@@ -1,4 +1,4 @@
-"""What verifying files finds: records of problems, by data set, and their text."""
+"""The results of verifying: problems and remarks by dataset, and their text."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ row_fault = partial(Problem, "")
 
 @dataclass(frozen=True, slots=True)
 class FileRemark:
-    """What should be known of some files but is not a problem: the words for the first of them, and how many."""
+    """A remark on some files that is no problem: its text for the first file, and their number."""
 
     path: str
     files: int
@@ -69,7 +69,7 @@ class FileRemark:
 
 
 def distinct(remarks: Iterable[tuple[str, tuple[str, ...]]]) -> tuple[FileRemark, ...]:
-    """Return each remark once, given those of each file by path; those that differ in their figures alone are alike."""
+    """Return each remark once, given every file's by path; remarks that differ only in their figures are alike."""
     alike: dict[str, list[tuple[str, str]]] = {}
     for path, texts in remarks:
         for text in texts:
@@ -82,7 +82,7 @@ _FIGURE = re.compile(r"(?<!\w)-?[0-9]+(\.[0-9]+)?")
 
 @dataclass(frozen=True, slots=True)
 class DatasetReport:
-    """What was found of one dataset. ``absent``: its folder is not there, and nothing was checked."""
+    """The report on one dataset. ``absent``: its folder is missing, and nothing was checked."""
 
     dataset: str
     folder: Path
@@ -148,7 +148,7 @@ _MANY = 8  # files with the same wrong setting are one problem in the text
 
 
 def _format_problems(problems: Sequence[Problem]) -> list[str]:
-    """Return problems in their order, those of many files together whose setting is off by the same factor."""
+    """Format problems in their order; many files whose setting is off by the same factor are one."""
     groups: dict[object, list[Problem]] = {}
     for problem in problems:
         percent = _percent_of_expected(problem)

@@ -362,7 +362,7 @@ def test_only_some_cameras(tree: Tree) -> None:
     ("options", "error", "said"),
     [
         ({"cameras": ["Demoalpha"]}, ManifestError, "'Demoalpha'; known are DemoAlpha, DemoBeta"),
-        ({"level": "thorough"}, ArgumentError, "quick, metadata, full; found 'thorough'"),
+        ({"level": "thorough"}, ArgumentError, "'quick', 'metadata', 'full'; found 'thorough'"),
         ({"workers": 0}, ArgumentError, "workers must be 1 or more; found 0"),
     ],
 )

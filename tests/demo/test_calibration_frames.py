@@ -75,15 +75,6 @@ def exposures(manifest: Manifest, role: str, iso: int) -> list[Fraction]:
     return [record.exposure_s for record in chosen if record.exposure_s is not None]
 
 
-def test_bias_frames_are_short_and_flats_come_in_pairs(made: tuple[Path, Manifest]) -> None:
-    for iso in ISOS:
-        assert exposures(made[1], "bias", iso) == [Fraction(1, 8000)] * 3
-        times = exposures(made[1], "flat", iso)
-        assert times[::2] == times[1::2] == sorted(set(times))
-    assert exposures(made[1], "flat", 100)[::2] == [Fraction(1, 10), Fraction(2, 5), Fraction(8, 5)]
-    assert exposures(made[1], "flat", 800)[::2] == [Fraction(1, 80), Fraction(1, 20), Fraction(1, 5)]
-
-
 @pytest.mark.parametrize("levels", [2, 13])
 def test_levels_from_5_to_80_percent_under_one_lamp(levels: int, tmp_path: Path) -> None:
     """At every ISO that the camera knows; time x K in proportion to the level."""

@@ -12,7 +12,7 @@ from PIL import Image
 
 import eldata.demo.evaluation
 from eldata.cli.main import main, parser
-from eldata.demo.evaluation import run_demo, write_contact_sheet
+from eldata.demo.evaluation import run_demo
 from eldata.demo.tree import make_clean, make_tree
 from eldata.errors import EldataError
 from eldata.examples import train_on_demo
@@ -143,18 +143,3 @@ def test_a_foreign_folder_is_refused_and_left_alone(kind: str, tmp_path: Path) -
     with pytest.raises(EldataError, match="photos"):
         run_demo(folder, scenes=1)
     assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_contact_sheet_places_its_pictures(tmp_path: Path) -> None:
-    colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 0), (0, 255, 255), (255, 0, 255)]
-    pictures = [np.full((20, 50, 3), colour, np.uint8) for colour in colours]
-    rows = [[("one", picture) for picture in pictures[:3]], [("two", picture) for picture in pictures[3:]]]
-    write_contact_sheet(tmp_path / "sheet.png", rows)
-    with Image.open(tmp_path / "sheet.png") as image:
-        assert image.size == sheet_size(2, 20, 50, columns=3)
-        pixels = np.asarray(image)
-    for index, colour in enumerate(colours):
-        top = MARGIN + CAPTION + index // 3 * (20 + CAPTION + MARGIN)
-        left = MARGIN + index % 3 * (50 + MARGIN)
-        assert (pixels[top : top + 20, left : left + 50] == colour).all()
-        assert not (pixels[top - 1, left : left + 50] == colour).all()

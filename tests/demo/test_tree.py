@@ -83,16 +83,3 @@ def test_noisy_frames_have_the_light_that_their_ratio_says(tree: tuple[Path, Man
         row = gain * camera.sigma_row_e / span * sample["ratio"] / np.sqrt(SIZE[0])
         reference = float(sample["target"].mean())
         assert float(sample["input"].mean()) - bias == pytest.approx(reference, rel=0.03, abs=5 * row)
-
-
-def test_the_layout_is_that_of_the_real_set(tree: tuple[Path, Manifest]) -> None:
-    folder, manifest = tree
-    names = {path for path in digests(folder) if path.endswith(".dng")}
-    assert names == {
-        f"data/ELD-demo/{camera}/scene-{scene}/IMG_{number:04d}.dng"
-        for camera in ("DemoAlpha", "DemoBeta")
-        for scene in (1, 2)
-        for number in range(1, 17)
-    }
-    assert manifest.name == "eld-demo"
-    assert manifest.card.counts == {"noisy": 48, "reference": 16}

@@ -8,17 +8,15 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from eldata.base.files import try_lock
-from eldata.download.fetching import RangeDownloader, archive_name, fetch_archive
+from eldata.download.fetching import RangeDownloader, archive_name
 from eldata.errors import DownloadError
-from eldata.manifest.card import Download
-from eldata.manifest.catalogue import ROOT_VARIABLE, shipped_manifest, shipped_names
+from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from tests.cases import in_one_test
 from tests.download import server
 from tests.download.helpers import HASTY, contents, fetch, noise, note_of, tree, zipped
@@ -145,6 +143,7 @@ def test_what_is_put_up_with(
     ("behaviour", "requests", "words"),
     [
         (server.status(503), 3, ["503", "gave up after 3 tries"]),
+        (server.status(404), 1, ["answered 404", "homepage", "--from"]),
         (server.without_ranges(32_768), 4, ["gave up after 3 tries"]),  # each brings 30 kB, and yet nothing new
         (server.claiming(1), 4, ["gave up"]),
         (server.page, 1, ["no archive, but b'<!DOCTYPE html>", "in a browser", "--from"]),
@@ -177,13 +176,6 @@ def test_no_server_and_no_archive(site: server.Site, target: Path) -> None:
     assert part_of(target).stat().st_size == 0
     site.address = "http://127.0.0.1:1/set.zip"
     refused(site, target, "Connection refused", "gave up")
-
-
-@pytest.mark.parametrize("code", [401, 404])
-def test_errors_that_stay(code: int, site: server.Site, target: Path) -> None:
-    site.then(server.breaking_after(16_384), server.status(code))
-    refused(site, target, f"answered {code}", "homepage", "--from")
-    assert part_of(target).read_bytes() == CONTENT[:16_384]
 
 
 # --- versions and lies ------------------------------------------------------------------------------------------------
@@ -273,14 +265,6 @@ def test_an_address_without_an_archives_name(tmp_path: Path) -> None:
         fetch("https://example.org/download?id=5", tmp_path / "archives" / "set.zip")
 
 
-def test_the_folder_is_below_the_data_root(site: server.Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    site.content = CONTENT
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv(ROOT_VARIABLE, "~/large")  # a folder of this name: pooch would take it for one of the home's
-    fetch_archive(Download(site.address, direct=True), None, HASTY)
-    assert (tmp_path / "~" / "large" / "archives" / "set.zip").read_bytes() == CONTENT
-
-
 # --- the disk ---------------------------------------------------------------------------------------------------------
 
 
@@ -351,11 +335,3 @@ def test_a_killed_run_is_gone_on_with(site: server.Site, target: Path) -> None:
     site.requests.clear()
     assert fetch(site.address, target).read_bytes() == site.content
     assert site.ranges == [f"bytes={have}-"]
-
-
-def test_waits_double_up_to_a_limit(site: server.Site, target: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    waits: list[float] = []
-    monkeypatch.setattr(time, "sleep", waits.append)
-    site.then(server.status(503))
-    refused(site, target, downloader=replace(HASTY, tries=9, longest_wait_s=60.0))
-    assert waits == [1, 2, 4, 8, 16, 32, 60, 60]

@@ -14,14 +14,13 @@ import pytest
 
 from eldata.base.pixels import read_png, read_png_header, read_rgb16, rgb_frame
 from eldata.download.fetching import archive_name, choose_parts
-from eldata.errors import ArgumentError, DatasetError, ManifestError
+from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.clips import FRAME_RANGES, Clip, clips_of, frame_range, windows
 from eldata.manifest.layouts import UNUSED, describe_layout, scan_raw
 from eldata.manifest.lock import lock
 from eldata.manifest.patterns import expand, sequence_of
 from eldata.manifest.verify import verify
-from manifests.published_drv import splits_from_lists
 from tests.drv_tree import (
     NOISY,
     REFERENCE,
@@ -59,18 +58,6 @@ def test_every_clip_of_every_split() -> None:
         assert record.path == f"VBM4D_rawRGB/{record.scene}/*.png"
         assert record.reference == (None if record.scene.startswith("M") else f"long/{record.scene}/half0001*.png")
         assert {record.iso, record.exposure_s, record.ratio, record.sha256, record.width} == {None}
-
-
-def test_splits_from_lists(tmp_path: Path) -> None:
-    lists = {split: tmp_path / f"{split}_list.txt" for split in ("train", "val", "test")}
-    for text, path in zip(("0003\n0001\n", "0002\n", "0004\n"), lists.values(), strict=True):
-        path.write_text(text)
-    found = splits_from_lists(lists)
-    assert list(found)[:5] == ["0001", "0002", "0003", "0004", "M0000"]
-    assert Counter(found.values()) == {"train": 2, "val": 1, "test": 1, "dynamic": 23}
-    lists["test"].write_text("0002\n")
-    with pytest.raises(ManifestError, match="0002 is in split val already"):
-        splits_from_lists(lists)
 
 
 def test_a_program_fetches_what_the_manifest_lists() -> None:

@@ -120,13 +120,9 @@ def test_mosaics_are_scored_packed_and_predicted_as_raws_are(as_dng: Path, tmp_p
 
 
 def test_references_are_clean_frames(as_dng: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a manifest alone and beside others, in memory and on disk: as the same mosaics in DNG files, to the bit.
-
-    They have 12 bits, and it is not known of how many the profile is; the folder holds a noisy frame too.
-    """
+    """Of a manifest alone and beside others: as the same mosaics in DNG files, to the bit."""
     monkeypatch.setenv("ELDATA_ROOT", str(as_dng.parent / "data"))
     raws = CleanFrames(as_dng)
-    on_disk = {"dng": synthesized(as_dng, tmp_path / "of-dng")}
     monkeypatch.setenv("ELDATA_ROOT", str(tmp_path / "data"))
     path = own_set(tmp_path, "tiff", FACTS)
     arrays, several = CleanFrames(str(path)), CleanFrames([path, as_dng.parent / "data" / "own" / "a"])
@@ -134,19 +130,9 @@ def test_references_are_clean_frames(as_dng: Path, tmp_path: Path, monkeypatch: 
     np.testing.assert_array_equal(several.frame(1).whole(), raws.frame(1).whole())
     of_raws, of_arrays = (SyntheticPairs(clean, "CanonEOS5D4", crop=16, seed=3) for clean in (raws, arrays))
     np.testing.assert_array_equal(of_raws[1]["input"], of_arrays[1]["input"])
-    on_disk["tiff"] = synthesized(path, tmp_path / "of-tiff")
-    assert len(on_disk["tiff"]) == 4
-    for name, mosaic in on_disk["dng"].items():
-        np.testing.assert_array_equal(mosaic, on_disk["tiff"][name])
-    assert verify(tmp_path / "of-tiff" / "manifests", tmp_path / "of-tiff" / "data", level="metadata").problems == ()
     assert len(CleanClips(path)) == 2
     (tmp_path / "data" / "own" / "a" / "clean.tiff").unlink()
     assert main(["synthesize", str(path), "-o", str(tmp_path / "none"), "--camera", "CanonEOS5D4"]) == 2
-
-
-def synthesized(manifest: Path, out: Path) -> dict[str, NDArray[Any]]:
-    assert main(["synthesize", str(manifest), "-o", str(out), "--camera", "CanonEOS5D4", "--no-clips"]) == 0
-    return {file.relative_to(out / "data" / out.name).as_posix(): read_raw(file).mosaic for file in out.rglob("*.dng")}
 
 
 def test_floats_are_what_the_card_calls_white(tmp_path: Path) -> None:

@@ -28,8 +28,8 @@ from eldata.demo.scenes import linear_light, scene_radiance
 from eldata.demo.tree import METERED_S, demo_card, write_shot
 from eldata.errors import EldataError
 from eldata.manifest.card import Subset
-from eldata.manifest.eld import NOISY_ISOS, EldCamera, eld_records
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.catalogue import save_manifest
+from eldata.manifest.layouts import NOISY_ISOS, EldCamera, eld_records
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import argparse
 from pathlib import Path
 
 from eldata.manifest.card import load_card, save_card
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.catalogue import save_manifest
 from eldata.records import FrameRecord
 from manifests.published_crvd import crvd_records
 from manifests.published_drv import drv_records, load_splits, save_splits, splits_from_lists

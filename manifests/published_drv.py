@@ -12,7 +12,7 @@ from eldata.base.fields import TextFile
 from eldata.base.files import write_text
 from eldata.base.tables import csv_text
 from eldata.errors import ManifestError
-from eldata.manifest.drv import DYNAMIC
+from eldata.manifest.layouts import DYNAMIC
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """The published ELD set: its cameras and its rows.
 
-Sources: see :mod:`eldata.manifest.eld`.
+Sources: see :mod:`eldata.manifest.layouts`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from eldata.manifest.eld import EldCamera, eld_records
+from eldata.manifest.layouts import EldCamera, eld_records
 
 if TYPE_CHECKING:
     from eldata.records import FrameRecord

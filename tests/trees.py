@@ -199,7 +199,7 @@ def interrupt_manifest(patch: pytest.MonkeyPatch, suffix: str) -> None:
             if path.suffix == suffix:
                 raise KeyboardInterrupt
 
-    patch.setattr("eldata.manifest.writing.atomic_write", write)
+    patch.setattr("eldata.manifest.catalogue.atomic_write", write)
 
 
 if __name__ == "__main__":

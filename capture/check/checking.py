@@ -11,7 +11,7 @@ from capture.check.scene import check_scene
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.catalogue import Manifest, load_manifest
-from eldata.manifest.pairs import WARM_SENSOR, narrowed
+from eldata.manifest.pairs import WARM_SENSOR, filter_rows
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -58,7 +58,7 @@ def check(
     rows = [record for record in loaded.records if record.scene or not scenes]
     if rows:
         numbers = [int(scene) if scene.isdecimal() else scene for scene in scenes]
-        rows = narrowed(rows, rows, "frame", {"camera": cameras or None, "scene": numbers or None})
+        rows = filter_rows(rows, rows, "frame", {"camera": cameras or None, "scene": numbers or None})
     if not rows:
         raise ArgumentError(f"{loaded.name}: no scenes and no calibration frames to check")
     groups = workers.run(check_unit, split_units(rows, folder, workers), label=loaded.name, unit="scene")

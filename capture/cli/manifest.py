@@ -167,7 +167,7 @@ def _write(
     plan: Plan, matched: Match, existing: ExistingSet | None, arguments: argparse.Namespace, workers: Workers
 ) -> None:
     from capture.manifest import make_card, make_dataset, place_files
-    from eldata.manifest.writing import refuse_others, save_manifest
+    from eldata.manifest.catalogue import refuse_others, save_manifest
 
     output, place = Path(arguments.output), arguments.copy_to or arguments.link_to
     dataset = make_dataset(plan, matched, None if place is None else Path(place).absolute(), existing, workers)

@@ -199,7 +199,13 @@ class TextFile:
         return Fields(self, data)
 
     def rows(self, columns: Sequence[str]) -> Iterator[TextRow]:
-        """Yield the rows of a CSV file whose first line names these columns.
+        """Yield the rows of a CSV file whose first line names these columns; raises like :meth:`columns`."""
+        for lines, cells in self.columns(columns):
+            for line, *texts in zip(lines, *cells, strict=True):
+                yield TextRow(self, dict(zip(columns, texts, strict=True)), f"line {line}")
+
+    def columns(self, columns: Sequence[str]) -> Iterator[tuple[tuple[int, ...], list[tuple[str, ...]]]]:
+        """Yield some rows of a CSV file at a time, by columns: the lines on which they end, and each column's cells.
 
         Raises
         ------
@@ -207,44 +213,25 @@ class TextFile:
             The file's, as :meth:`text` raises it; or if it is not CSV, has other columns, or a row of another length.
         """
         file = self.loaded()
-        file.text("CSV")  # before the first row is judged
-        reader = _csv_reader(file.content)
-        try:
-            header = self._header(reader, columns)
-            for cells in reader:
-                if len(cells) != len(header):
-                    reason = f"expected {len(header)} fields, found {len(cells)}"
-                    raise self.problem(reason, f"line {reader.line_num}")
-                texts = map(text_of_cell, cells)
-                yield TextRow(self, dict(zip(header, texts, strict=True)), f"line {reader.line_num}")
-        except csv.Error as error:
-            raise self.problem(f"is not CSV ({error})", f"line {reader.line_num}") from error
-
-    def _header(self, reader: Any, columns: Sequence[str]) -> list[str]:
-        header: list[str] = next(reader, [])
-        if header != [*columns]:
-            found = shown(",".join(header), longest=400)
-            raise self.problem(f"expected the columns {','.join(columns)}; found {found}", "line 1")
-        return header
-
-    def columns(self, columns: Sequence[str]) -> Iterator[list[tuple[str, ...]]]:
-        """Yield the columns of some rows at a time, of a file such as :meth:`rows` reads; for millions of rows.
-
-        What is wrong with a row raises a ``ValueError`` that does not say where: read it by :meth:`rows` then, which
-        does.
-        """
-        file = self.loaded()
         reader = _csv_reader(file.content)
         quoted = _may_have_quoted_cells(file.content)
         try:
-            self._header(reader, columns)
-            while rows := list(islice(reader, _ROWS_AT_ONCE)):
-                found = list(zip(*rows, strict=True))
-                if len(found) != len(columns):
-                    raise ValueError(columns)
-                yield [tuple(map(text_of_cell, cells)) for cells in found] if quoted else found
+            header: list[str] = next(reader, [])
+            if header != [*columns]:
+                found = shown(",".join(header), longest=400)
+                raise self.problem(f"expected the columns {','.join(columns)}; found {found}", "line 1")
+            while rows := [(reader.line_num, *cells) for cells in islice(reader, _ROWS_AT_ONCE)]:
+                for line, *cells in rows if {*map(len, rows)} != {len(columns) + 1} else ():
+                    if len(cells) != len(columns):
+                        reason = f"expected {len(columns)} fields, found {len(cells)}"
+                        raise self.problem(reason, f"line {line}")
+                lines, *texts = zip(*rows, strict=True)
+                yield lines, [tuple(map(text_of_cell, cells)) for cells in texts] if quoted else texts
+        except UnicodeDecodeError:
+            file.text("CSV")  # says where
+            raise
         except csv.Error as error:
-            raise ValueError(columns) from error
+            raise self.problem(f"is not CSV ({error})", f"line {reader.line_num}") from error
 
 
 def _csv_reader(content: str | bytes | None) -> Any:

@@ -111,15 +111,16 @@ def _terms(found: Overview, downloads: Sequence[Download]) -> str:
 
 
 def _fetch(manifest: Manifest, root: Path, parts: Sequence[Download]) -> list[Installed]:
-    from eldata.download.fetching import RangeDownloader
-    from eldata.download.installing import fetch_dataset
+    from eldata.download.fetching import RangeDownloader, fetch_archive
+    from eldata.download.installing import unpack_dataset
     from eldata.download.overview import presence_of
 
     installed = []
     for part in parts:
         listed = [record for record in manifest.records if part.holds(record.path)]
-        if not presence_of(manifest.stated_folder(root), listed).complete:
-            installed.append(fetch_dataset(part, manifest, root, RangeDownloader()))
+        folder = manifest.stated_folder(root)
+        if not presence_of(folder, listed).complete:
+            installed.append(unpack_dataset(fetch_archive(part, root, RangeDownloader()), manifest, folder))
     return installed
 
 

@@ -50,8 +50,8 @@ def add_options(parser: console.Parser) -> None:
 
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
+    from eldata.manifest.catalogue import refuse_others, save_manifest
     from eldata.manifest.own import sort_own_set
-    from eldata.manifest.writing import refuse_others, save_manifest
 
     output, folder = Path(arguments.output), Path(arguments.folder).absolute()
     if output.suffix != ".csv":

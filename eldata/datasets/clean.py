@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeGuard
 from eldata.base.files import visible_below
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.catalogue import FrameFiles, find_manifests, is_manifest
-from eldata.manifest.clean import clean_raws
 from eldata.manifest.clips import moment_name
+from eldata.manifest.own import clean_raws
 from eldata.manifest.patterns import expand, sequence_of
 from eldata.raw.files import is_raw, no_raws
 from eldata.raw.levels import LEVELS, Levels, check_in_dn
@@ -57,7 +57,7 @@ class CleanFrames:
     Parameters
     ----------
     source
-        A folder, of whose camera raws those that are clean are taken (:func:`eldata.manifest.clean.clean_raws`; files
+        A folder, of whose camera raws those that are clean are taken (:func:`eldata.manifest.own.clean_raws`; files
         one by one are taken as they are); or a store (``eldata pack``): the frames of a packed folder, or the
         references of packed pairs; or a manifest (``.csv``, or a set's name, unless a folder has it): the references
         that it lists below ``$ELDATA_ROOT`` or ``./data``, be they raws or mosaics whose levels its card states. Or

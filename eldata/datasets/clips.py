@@ -11,7 +11,7 @@ from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, DrawnItem, Part, shading_text
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.clips import choose_clips, clips_of, windows
-from eldata.manifest.drv import Layout
+from eldata.manifest.layouts import describe_layout
 from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand
 from eldata.sources.frames import Frame
@@ -154,7 +154,7 @@ class ClipWindows(CroppedItems[ClipSample]):
         chosen = expand(choose_clips(rows, subsets, choice, ids=ids), place)
         self._choose_values(levels, clip, amplification, dark_shading, (row.camera for row in chosen))
         self._opener = PairOpener(source, levels, amplification, self.dark_shading)
-        self.layout = Layout.of(chosen)
+        self.layout = describe_layout(chosen)
         self.clips = clips_of(chosen)
         lone = [each.scene for each in self.clips if each.reference is None]
         if self._is_paired and lone:
@@ -263,7 +263,7 @@ class ClipWindows(CroppedItems[ClipSample]):
         return [
             ("place", str(self.root)),
             ("clips", self._text),
-            ("files", str(self.layout)),
+            ("files", self.layout),
             ("values", f"levels {self.levels}, clip {self.clip}, amplification {self.amplification}"),
             ("items", str(len(self))),
         ]

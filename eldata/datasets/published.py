@@ -23,7 +23,7 @@ from eldata.manifest.catalogue import (
     shipped_manifest,
 )
 from eldata.manifest.clips import moment_name
-from eldata.manifest.drv import DYNAMIC, scan_raw
+from eldata.manifest.layouts import DYNAMIC, scan_raw
 from eldata.manifest.pairs import Choice, splits_of
 from eldata.raw.levels import CAMERA_LEVELS_DN
 from eldata.sources.frames import Files, no_folder
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from eldata.datasets.items import Crops
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.clips import FrameRange
-    from eldata.manifest.drv import Scan
+    from eldata.manifest.layouts import Scan
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
     from eldata.raw.levels import Clip, FrameLevels
@@ -325,8 +325,8 @@ class DRVDataset(ClipWindows):
 
     Camera raws are packed Bayer, amplified by the exact exposure ratio of the files; dynamic ones, which have none, are
     not: ``ratio`` is 1. How the raw archives lie is not published. The files are looked for below ``root``
-    (:func:`eldata.manifest.drv.scan_raw`); ``dataset.layout`` and ``repr`` say what was found, and what cannot be told
-    is an error. A 20-megapixel frame takes 80 MB: choose a ``region`` (in packed pixels) or a ``crop`` for training.
+    (:func:`eldata.manifest.layouts.scan_raw`); ``dataset.layout`` and ``repr`` describe them; what cannot be told is an
+    error. A 20-megapixel frame takes 80 MB: choose a ``region`` (in packed pixels) or a ``crop`` for training.
 
     Parameters
     ----------
@@ -339,7 +339,7 @@ class DRVDataset(ClipWindows):
         The dynamic clips instead of the static ones.
     manifest
         A manifest's CSV file: instead of the shipped one, such as one that ``eldata lock`` has filled in; of camera
-        raws instead of looking for them, as :func:`~eldata.manifest.drv.scan_raw` saves it.
+        raws instead of looking for them, as :func:`~eldata.manifest.layouts.scan_raw` saves it.
     reference
         Of camera raws that are looked for: pattern of the references' file names, for copies with several raws in a
         folder below ``long``.

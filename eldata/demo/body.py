@@ -149,7 +149,7 @@ class Body:
         self.light: NDArray[np.float32] = 1 - features.vignetting / 2 * (y[:, None] ** 2 + x**2).astype(np.float32)
 
     def offset_dn(self, noise: KnownNoise) -> NDArray[np.float32]:
-        """Return what a frame without light and noise would hold: black, colour bias and fixed pattern, (H, W), DN."""
+        """Return a frame without light and noise: black, colour bias and fixed pattern, (H, W), DN."""
         constant = np.add(self.sensor.black_level_dn, noise.colour_bias_dn).astype(np.float32)
         offset: NDArray[np.float32] = self.pattern_dn * self.features.scale(noise.gain_dn_per_e)
         offset += constant[self.channel]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -19,8 +20,8 @@ from eldata.demo.body import Body, FixedFeatures, KnownNoise
 from eldata.demo.camera import CAMERAS
 from eldata.demo.tree import demo_card, write_shot
 from eldata.errors import ArgumentError
+from eldata.manifest.catalogue import save_manifest
 from eldata.manifest.table import number_text
-from eldata.manifest.writing import save_manifest
 from eldata.records import FrameRecord, Sensor
 
 if TYPE_CHECKING:
@@ -195,7 +196,18 @@ def make_calibration_frames(
     finally:
         _body.cache_clear()  # a caller's process need not keep its arrays
     write_json(folder / "truth.json", _truth(plan, body), indent=1)
-    records = [_record(shot, data) for shot in shots]
+    records = [
+        FrameRecord(
+            shot.path.relative_to(data).as_posix(),
+            shot.role,
+            camera.name,
+            iso=Fraction(shot.noise.iso),
+            exposure_s=shot.exposure_s,
+            width=size[1],
+            height=size[0],
+        )
+        for shot in shots
+    ]
     sources = "eldata.demo: a simulated camera; truth.json beside the manifests' folder holds its noise"
     sensors = {camera.name: camera.sensor}
     card = demo_card(NAME, "Simulated calibration frames", _FOLDER, sensors, records, sources)
@@ -238,19 +250,16 @@ def _flat_times_s(sensor: Sensor, noise: KnownNoise, mean_e_per_s: float, levels
 
 def _shots(data: Path, plan: _Plan) -> Iterator[_Shot]:
     """Yield the frames as a photographer would take them: all bias frames, then, cap off, the flats in pairs."""
-    bias = [(BIAS_EXPOSURE_S,) * plan.bias_frames] * len(plan.noise)
-    flats = [tuple(time for time in times for _ in range(2)) for times in plan.times_s]
-    sequence: tuple[tuple[Literal["bias", "flat"], list[tuple[Fraction, ...]], int], ...] = (
-        ("bias", bias, 0),
-        ("flat", flats, plan.bias_frames),
-    )
     number = 0
-    for role, exposures, first in sequence:
-        for iso_index, (noise, times) in enumerate(zip(plan.noise, exposures, strict=True)):
-            for frame_index, exposure_s in enumerate(times, first):
-                number += 1
-                path = data / plan.camera.name / role / f"ISO{noise.iso}" / f"IMG_{number:04d}.dng"
-                yield _Shot(plan, path, role, iso_index, frame_index, exposure_s)
+    roles: tuple[Literal["bias", "flat"], ...] = ("bias", "flat")
+    for role, (iso_index, (noise, times)) in product(roles, enumerate(zip(plan.noise, plan.times_s, strict=True))):
+        bias = (BIAS_EXPOSURE_S,) * plan.bias_frames
+        flats = tuple(time for time in times for _ in range(2))
+        first, exposures = (0, bias) if role == "bias" else (len(bias), flats)
+        for frame_index, exposure_s in enumerate(exposures, first):
+            number += 1
+            path = data / plan.camera.name / role / f"ISO{noise.iso}" / f"IMG_{number:04d}.dng"
+            yield _Shot(plan, path, role, iso_index, frame_index, exposure_s)
 
 
 def _take(shot: _Shot) -> None:
@@ -264,19 +273,6 @@ def _take(shot: _Shot) -> None:
     else:
         mosaic = body.flat_frame(noise, shot.level_dn, generator)
     write_shot(shot.path, mosaic, plan.camera.sensor, Fraction(noise.iso), shot.exposure_s)
-
-
-def _record(shot: _Shot, data: Path) -> FrameRecord:
-    camera = shot.plan.camera
-    return FrameRecord(
-        path=shot.path.relative_to(data).as_posix(),
-        role=shot.role,
-        camera=camera.name,
-        iso=Fraction(shot.noise.iso),
-        exposure_s=shot.exposure_s,
-        width=camera.sensor.width,
-        height=camera.sensor.height,
-    )
 
 
 def _truth(plan: _Plan, body: Body) -> dict[str, object]:

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     from eldata.demo.camera import SimulatedCamera
     from eldata.evaluation.results import EvaluationResult
-    from eldata.manifest.catalogue import Manifest
 
 INPUT = "amplified"
 _GAUSSIAN_SHAPE = 0.14  # lambda at which the Tukey-lambda distribution is nearest to the normal one
@@ -69,7 +68,11 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0, beside: str = "dct
     at_root = f"--root {shlex.quote(str(root))}"
     verify_own(manifest, root)
     predictions = folder / "predictions"
-    profiles = _write_profiles(folder, manifest)
+    isos = sorted({int(record.iso) for record in manifest.records if record.iso is not None})
+    profiles = {folder / "profiles" / f"{camera.name}.json": known_profile(camera, isos) for camera in CAMERAS}
+    (folder / "profiles").mkdir(exist_ok=True)
+    for path, profile in profiles.items():
+        profile.save(path)
     listed = shlex.quote(str(manifest.path))
     given = " ".join(f"--profile {shlex.quote(str(path))}" for path in profiles)
     methods = {
@@ -116,17 +119,6 @@ def score_method(folder: Path, name: str, what: str, place: Path | None) -> Eval
     result.write_csv(folder / f"{name}.csv")
     result.write_json(folder / f"{name}.json")
     return result
-
-
-def _write_profiles(folder: Path, manifest: Manifest) -> list[Path]:
-    """Write what is known of the cameras' noise; return the files."""
-    isos = sorted({int(record.iso) for record in manifest.records if record.iso is not None})
-    (folder / "profiles").mkdir(exist_ok=True)
-    files = []
-    for camera in CAMERAS:
-        files.append(folder / "profiles" / f"{camera.name}.json")
-        known_profile(camera, isos).save(files[-1])
-    return files
 
 
 def known_profile(camera: SimulatedCamera, isos: Sequence[int]) -> CameraProfile:

@@ -67,7 +67,9 @@ def scene_radiance(number: int, height: int, width: int) -> NDArray[np.float32]:
         float32 of shape (3, height, width): linear light in sRGB primaries, between 0 and 1, where 1 is the
         brightest diffuse white or a highlight.
     """
-    return _painted(number, height, width).radiance()
+    stage = _Stage(number, height, width)
+    COMPOSITIONS[stage.kind](stage)
+    return stage.radiance()
 
 
 def linear_light(srgb: ArrayLike) -> Field:
@@ -115,7 +117,6 @@ class _Stage:
         self.y: Field = ((np.arange(height, dtype=np.float32) + 0.5 - height / 2) / self.scale)[:, None]
         self.colour = np.zeros((3, height, width), np.float32)
         self.gloss = np.zeros((height, width), np.float32)
-        self.patches: list[tuple[int, int, Field]] = []  # row, column and colour of each chart patch
         # The four base scenes have a hand-picked look; the seed only moves the variations away from it.
         drift = self.rng.uniform(-1, 1, 4) * (self.variation > 0)
         self.hue = ((0.60, 0.50, 0.74, 0.07)[self.kind] + 0.5 * drift[0]) % 1
@@ -160,7 +161,7 @@ class _Stage:
         return edges[0], edges[1]
 
     def pixel(self, x: float, y: float) -> tuple[float, float]:
-        """Return where a place lies in the picture, in pixels from the left and from the top."""
+        """Return a place in the picture, in pixels from the left and from the top."""
         height, width = self.gloss.shape
         return x * self.scale + width / 2, y * self.scale + height / 2
 
@@ -246,10 +247,8 @@ class _Stage:
         patches = linear_light(CHART_SRGB).reshape(4, 6, 3)
         patches = patches[:: -1 if self.variation % 2 else 1, :: int(self.side)]
         for (row, column), _ in np.ndenumerate(patches[..., 0]):
-            px, py, colour = cx + (column - 2.5) * pitch, cy + (row - 1.5) * pitch, patches[row, column]
-            self.fill(px, py, 0.86 * pitch, 0.86 * pitch, colour)
-            right, down = self.pixel(px, py)
-            self.patches.append((int(down), int(right), colour))
+            x, y = cx + (column - 2.5) * pitch, cy + (row - 1.5) * pitch
+            self.fill(x, y, 0.86 * pitch, 0.86 * pitch, patches[row, column])
 
     def write(self, x: float, y: float, size: float, text: str, colour: ArrayLike, anchor: str = "lm") -> None:
         """Write a line of text; the size is the font's, in units."""
@@ -393,9 +392,3 @@ def _lettering(stage: _Stage) -> None:
 
 
 COMPOSITIONS: Final[Sequence[Callable[[_Stage], None]]] = (_colour_chart, _resolution, _gradients, _lettering)
-
-
-def _painted(number: int, height: int, width: int) -> _Stage:
-    stage = _Stage(number, height, width)
-    COMPOSITIONS[stage.kind](stage)
-    return stage

@@ -16,9 +16,9 @@ from eldata.demo.camera import BASE_ISO, CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.errors import EldataError
 from eldata.manifest.card import CameraCard, Card
-from eldata.manifest.eld import EldCamera, eld_records
+from eldata.manifest.catalogue import save_manifest
+from eldata.manifest.layouts import EldCamera, eld_records
 from eldata.manifest.verify import verify
-from eldata.manifest.writing import save_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 
@@ -176,7 +176,7 @@ def make_clean(
         radiance = scene_radiance(number, *size)
         for index, design in enumerate(CAMERAS):
             camera = design.with_size(*size)
-            # Four numbers, where those of make_tree are of three.
+            # Four numbers; make_tree seeds by three.
             mosaic = camera.photograph(radiance, Fraction(1), BASE_ISO, np.random.default_rng([seed, index, number, 0]))
             place = clean / camera.name / f"scene-{number}.dng"
             write_shot(place, mosaic, camera.sensor, Fraction(BASE_ISO), METERED_S[0])

@@ -73,9 +73,9 @@ def read_members(path: Path) -> list[Member]:
     problem = file_problem(path)
     if problem is not None:
         raise ArchiveError(path, problem)
-    form = read_format(path)
+    read = {"zip": _zip_members, "7z": _seven_zip_members, "blocks": _block_members}[read_format(path)]
     with _name_damage(path):
-        members = list({"zip": _zip_members, "7z": _seven_zip_members, "blocks": _block_members}[form](path))
+        members = list(read(path))
     names: dict[str, str] = {}
     for member in members:
         problem = path_problem(member.name.removesuffix("/")) or member.fault
@@ -94,16 +94,13 @@ def read_members(path: Path) -> list[Member]:
 
 
 def read_format(path: Path) -> str:
-    """Return what an archive is by its first bytes, one of :data:`FORMATS`; raises like :func:`read_members`."""
+    """Return an archive's format by its first bytes, one of :data:`FORMATS`; raises like :func:`read_members`."""
     with path.open("rb") as file:
         head = file.read(64)
     for mark, form in FORMATS.items():
         if head.startswith(mark):
             return form
-    what = f"is not a zip or 7z archive, or blocks of MATLAB: it starts with {head!r}"
-    if head.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        what = "is HDF5, as MATLAB 7.3 and h5py write it"
-        raise ArchiveError(path, f"{what}; blocks are unpacked as published: save them by MATLAB's -v7, or scipy.io")
+    what = f"is not a zip or 7z archive, or blocks as MATLAB's -v7 saves them: it starts with {head!r}"
     raise ArchiveError(path, f"{what}; {_BY_HAND}")
 
 
@@ -168,19 +165,13 @@ def unpack_archive(path: Path, members: Iterable[Member], targets: Mapping[str, 
         staging.mkdir()
         with _name_damage(path), progress_bar(f"unpacking {path.name}", missing_bytes) as bar:
             for name, staged in _extract(path, new, staging, bar) if new else ():
-                with staged.open("rb+") as file:  # Windows syncs no other
-                    os.fsync(file.fileno())
                 places[name].parent.mkdir(parents=True, exist_ok=True)
-                # A link would refuse to replace a file that appeared meanwhile, but not every disk has links.
-                if os.path.lexists(places[name]):
-                    there.add(name)
-                else:
-                    staged.rename(places[name])
+                staged.rename(places[name])
         shutil.rmtree(staging)
     except OSError as error:
         advice = "files unpacked before are whole, and the same command goes on"
         raise DownloadError(f"cannot unpack {path} into {folder}: {error.strerror or error}; {advice}") from error
-    groups = (size_of.keys() - there, same, there - same)
+    groups = (new, same, there - same)
     written, same_size, differing = (tuple(sorted(targets[name] for name in group)) for group in groups)
     return written, same_size, differing
 
@@ -205,12 +196,8 @@ def _extract(path: Path, names: Sequence[str], staging: Path, bar: tqdm[Any]) ->
 
 def size_text(size_bytes: int) -> str:
     """Return a size in decimal units, as publishers and disks state it: ``25.1 GB``."""
-    size = float(size_bytes)
-    for unit in ("bytes", "kB", "MB", "GB"):
-        if size < 1000:
-            return f"{size_bytes} bytes" if unit == "bytes" else f"{size:.3g} {unit}"
-        size /= 1000
-    return f"{size:.3g} TB"
+    power = min((len(str(size_bytes)) - 1) // 3, 4)
+    return f"{size_bytes / 1000**power:.3g} {('bytes', 'kB', 'MB', 'GB', 'TB')[power]}"
 
 
 def progress_bar(name: str, total_bytes: int | None = None) -> tqdm[Any]:
@@ -291,9 +278,8 @@ def _name_blocks(path: Path) -> str:
 
     if path.suffix.lower() != ".mat":
         raise ArchiveError(path, "is a file of MATLAB's; give it a name that ends in .mat")
-    arrays = {name: shape for name, shape, _ in scipy.io.whosmat(path)}
-    held = [name for name, shape in arrays.items() if len(shape) == 4]
+    arrays = scipy.io.whosmat(path)
+    held = [name for name, shape, _ in arrays if len(shape) == 4]
     if len(held) != 1:
-        found = ", ".join(f"{shown(name)} {shape}" for name, shape in arrays.items()) or "none"
-        raise ArchiveError(path, f"expected one array of blocks, (images, blocks, rows, columns); found {found}")
+        raise ArchiveError(path, f"expected one array of blocks, (images, blocks, rows, columns); found {arrays}")
     return held[0]

@@ -62,7 +62,7 @@ def choose_parts(downloads: Sequence[Download], names: Collection[str]) -> tuple
 
 
 def fetch_archive(download: Download, root: Path | str | None, downloader: RangeDownloader) -> Path:
-    """Return where an archive lies, complete and with the card's hash; it is fetched first if it is not there.
+    """Fetch an archive, unless it is there; return its path, once it is complete and has the card's hash.
 
     It is kept in ``archives`` below the data root, where one that differs is never replaced.
 
@@ -210,7 +210,7 @@ def _read_note(path: Path, address: str) -> tuple[str, int]:
 
 
 def _mark_of(answer: requests.Response) -> str:
-    """Return what tells this version of the file from others, in the form for If-Range."""
+    """Return the server's mark of this version of the file, in the form for If-Range."""
     etag: str = answer.headers.get("ETag", "")
     # A weak one may stay when bytes change.
     return etag if etag and not etag.startswith("W/") else answer.headers.get("Last-Modified", "")

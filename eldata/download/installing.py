@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
 from eldata.download.archives import read_format, read_members, unpack_archive
-from eldata.download.fetching import RangeDownloader, archive_name, fetch_archive
+from eldata.download.fetching import archive_name
 from eldata.errors import ArchiveError
 from eldata.manifest.patterns import is_pattern
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     _Ends = dict[str, dict[str, set[str]]]
 
-    from eldata.manifest.card import Download
     from eldata.manifest.catalogue import Manifest
 
 
@@ -43,13 +42,13 @@ class Installed:
     def format_text(self) -> str:
         """Return it as text."""
         lines = [f"    left alone, differs in size from the archive's: {path}" for path in self.differing]
-        lines.append(
-            f"{self.archive.name}: {len(self.written)} files unpacked, {len(self.same_size)} were there already"
-            + (f", {len(self.differing)} differ and were left alone" if self.differing else "")
-            + f"; {self.files_listed} of its files are listed in the manifest"
-            + (f"; {len(self.left)} files beside the dataset's folder stay in it" if self.left else "")
-        )
-        return "\n".join(lines)
+        facts = [
+            f"{self.archive.name}: {len(self.written)} files unpacked, {len(self.same_size)} were there already",
+            f", {len(self.differing)} differ and were left alone" if self.differing else "",
+            f"; {self.files_listed} of its files are listed in the manifest",
+            f"; {len(self.left)} files beside the dataset's folder stay in it" if self.left else "",
+        ]
+        return "\n".join([*lines, "".join(facts)])
 
 
 def unpack_dataset(archive_path: Path, manifest: Manifest, folder: Path) -> Installed:
@@ -61,7 +60,7 @@ def unpack_dataset(archive_path: Path, manifest: Manifest, folder: Path) -> Inst
     Raises
     ------
     ArchiveError, DownloadError
-        See :func:`~eldata.download.archives.read_members`, :func:`find_relocation` and
+        See :func:`~eldata.download.archives.read_members`, :func:`find_targets` and
         :func:`~eldata.download.archives.unpack_archive`.
     """
     members = read_members(archive_path)
@@ -69,67 +68,31 @@ def unpack_dataset(archive_path: Path, manifest: Manifest, folder: Path) -> Inst
     names = [member.name for member in members]
     downloads = manifest.card.downloads
     below = next((one.below for one in downloads if archive_name(one.address) == archive_path.name), None)
-    relocation = find_relocation(archive_path, names, listed, below)
-    targets = {name: target for name in names if (target := relocation.target(name)) is not None}
+    targets = find_targets(archive_path, names, listed, below)
     if read_format(archive_path) == "blocks":
-        _require_blocks(archive_path, set(targets.values()), listed)
+        folders = {path.rpartition("/")[0] for path in targets.values()}
+        blocks = {path for path in listed if path.rpartition("/")[0] in folders}
+        if blocks != set(targets.values()):
+            sides = "its sides must be (images, blocks, rows, columns), as published"
+            holds = f"holds {len(targets)} blocks, and the manifest lists {len(blocks)}"
+            raise ArchiveError(archive_path, f"{holds}; {sides}")
     outcome = unpack_archive(archive_path, members, targets, folder)
     left = tuple(sorted(set(names) - set(targets)))
     return Installed(archive_path, *outcome, count_listed(targets.values(), listed), left)
 
 
-def _require_blocks(archive: Path, blocks: Collection[str], listed: Iterable[str]) -> None:
-    """Refuse an array of other blocks than those that the manifest lists in their folder."""
-    (folder,) = {path.rpartition("/")[0] for path in blocks}
-    expected = {path for path in listed if path.rpartition("/")[0] == folder}
-    if expected != blocks:
-        raise ArchiveError(
-            archive,
-            f"holds {len(blocks)} blocks, up to {max(blocks)}, and the manifest lists {len(expected)}, up to "
-            f"{max(expected)}; its sides must be (images, blocks, rows, columns), as published",
-        )
-
-
-def fetch_dataset(
-    download: Download, manifest: Manifest, root: Path | str | None = None, downloader: RangeDownloader | None = None
-) -> Installed:
-    """Fetch an archive of the card into the data root's folder of archives, where it is kept, and unpack it.
-
-    Raises
-    ------
-    ArchiveError, DownloadError
-        See :func:`~eldata.download.fetching.fetch_archive` and :func:`unpack_dataset`.
-    """
-    archive = fetch_archive(download, root, downloader or RangeDownloader())
-    return unpack_dataset(archive, manifest, manifest.stated_folder(root))
-
-
 # --- which folder goes where ------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Relocation:
-    """The archive's folder ``inside`` is the folder ``below`` of the dataset; empty means the top."""
-
-    inside: str
-    below: str
-
-    def target(self, name: str) -> str | None:
-        """Return where a member belongs, relative to the dataset's folder; ``None`` if it lies elsewhere."""
-        if self.inside and not name.startswith(f"{self.inside}/"):
-            return None
-        rest = name[len(self.inside) + 1 :] if self.inside else name
-        return f"{self.below}/{rest}" if self.below else rest
-
-
-def find_relocation(
+def find_targets(
     archive: Path, names: Collection[str], listed: Collection[str], unlisted_below: str | None = None
-) -> Relocation:
-    """Return the one relocation by which an archive's files are those that a manifest lists.
+) -> dict[str, str]:
+    """Find where an archive's files belong in the dataset's folder, so that they are those that a manifest lists.
 
     A publisher packs ``Sony/short/...``, ``SID/Sony/short/...`` or ``short/...``, and changes that between versions.
     The ends of the listed paths tell which; where two fit (``scene-1/IMG_0001.CR2`` without its camera), nothing is
     guessed. If no file is listed, the archive's top folder is ``unlisted_below`` of the dataset, if that is given.
+    Files beside the archive's folder that is the dataset's have no target.
 
     Raises
     ------
@@ -137,25 +100,26 @@ def find_relocation(
         If no file is listed, or the files fit in several ways.
     """
     ends = _index_ends(listed)
-    found = (_find_end(ends, name) for name in names)
-    ways = dict.fromkeys(Relocation(within, below) for within, belows in found for below in sorted(belows))
-    if len(ways) == 1:
-        return next(iter(ways))
+    above = (_find_end(ends, name) for name in names)
+    ways = list(dict.fromkeys((within, below) for within, belows in above for below in sorted(belows)))
     by_hand = f"unpack it by hand so that {min(listed)} lies in the dataset's folder, then run eldata verify"
-    if ways:
-        shown = ", ".join(f"{way.inside or '.'} as {way.below or '.'}" for way in list(ways)[:3])
+    if len(ways) > 1:
+        shown = ", ".join(f"{within or '.'} as {below or '.'}" for within, below in ways[:3])
         raise ArchiveError(archive, f"its files fit the manifest in {len(ways)} ways ({shown}); {by_hand}")
-    if unlisted_below is not None:
-        return Relocation("", unlisted_below)
-    raise ArchiveError(
-        archive,
-        f"none of its {len(names)} files is listed (found such as {min(names)}, expected such as {min(listed)}); "
-        f"is it another dataset's archive? If not, {by_hand}",
-    )
+    if not ways and unlisted_below is not None:
+        ways = [("", unlisted_below)]
+    if not ways:
+        raise ArchiveError(
+            archive,
+            f"none of its {len(names)} files is listed (found such as {min(names)}, expected such as {min(listed)}); "
+            f"is it another dataset's archive? If not, {by_hand}",
+        )
+    within, below = (f"{folder}/" if folder else "" for folder in ways[0])
+    return {name: below + name.removeprefix(within) for name in names if name.startswith(within)}
 
 
 def count_listed(paths: Iterable[str], listed: Iterable[str]) -> int:
-    """Return how many paths a manifest lists, by name or by pattern."""
+    """Count the paths that a manifest lists, by name or by pattern."""
     ends = _index_ends(listed)
     return sum("" in _find_end(ends, path)[1] for path in paths)
 
@@ -172,7 +136,7 @@ def _index_ends(listed: Iterable[str]) -> _Ends:
 
 
 def _find_end(ends: _Ends, name: str) -> tuple[str, set[str]]:
-    """Return what lies above a member in the archive, and what above its listed namesakes in the dataset."""
+    """Return the folders above a member in the archive, and those above its listed namesakes in the dataset."""
     *folders, file = name.split("/")
     for start in range(len(folders) + 1):  # the longest end that is listed says most
         held = ends.get("/".join(folders[start:]), {})

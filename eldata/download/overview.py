@@ -108,15 +108,8 @@ class Overview:
     def format_text(self) -> str:
         """Return it as text for one dataset."""
         card, listed = self.card, "card" if self.manifest is None else "manifest"
-        lines = [
-            f"{card.name}: {card.title} ({listed} version {card.version})",
-            "",
-            *_facts(card),
-            *self._files(),
-            "",
-            "where to get it",
-            *format_downloads(card.downloads),
-        ]
+        lines = [f"{card.name}: {card.title} ({listed} version {card.version})", "", *_facts(card), *self._files()]
+        lines += ["", "where to get it", *format_downloads(card.downloads)]
         if card.subsets:
             lines += ["", "subsets (eldata evaluate --subset)"]
             noisy = (row for row in (self.manifest.records if self.manifest else ()) if row.role == "noisy")
@@ -167,17 +160,15 @@ def _remarks(card: Card) -> list[str]:
 
 
 def _archive_size(download: Download) -> str:
-    return size_text(download.size_bytes) if download.size_bytes is not None else download.about
+    return download.about if download.size_bytes is None else size_text(download.size_bytes)
 
 
 def _size(card: Card) -> str:
     """Return the size of the archives, as far as it is known."""
-    first_of: dict[str, str] = {}
-    for download in card.downloads:
-        if size := _archive_size(download):
-            first_of.setdefault(download.part, size)
-    named = {part: size for part, size in first_of.items() if part} or first_of  # no mirrors beside them
-    return " + ".join(named.values()) or "not known"
+    sizes = {download.part: size for download in reversed(card.downloads) if (size := _archive_size(download))}
+    parts = dict.fromkeys(download.part for download in card.downloads if download.part in sizes)
+    named = [sizes[part] for part in parts if part] or [sizes[part] for part in parts]  # no mirrors beside them
+    return " + ".join(named) or "not known"
 
 
 def format_downloads(downloads: Iterable[Download]) -> list[str]:
@@ -192,15 +183,12 @@ def format_downloads(downloads: Iterable[Download]) -> list[str]:
 
 
 def presence_of(folder: Path, records: Iterable[FrameRecord]) -> Presence:
-    """Return how much of what is listed is in a folder, by names and sizes alone."""
-    listed = present = patterns = 0
-    for record in records:
-        pattern = is_pattern(record.path)
-        listed += 1
-        patterns += pattern
-        paths = matching(folder, record.path) if pattern else (record.path,)
-        present += any(_is_there(folder / path) for path in paths)
-    return Presence(listed, present, patterns > 0 and (folder / STAGING).exists(), patterns)
+    """Count the listed files that are in a folder, by names and sizes alone."""
+    paths = [record.path for record in records]
+    files = [matching(folder, path) if is_pattern(path) else (path,) for path in paths]
+    present = sum(any(_is_there(folder / file) for file in of_row) for of_row in files)
+    patterns = sum(map(is_pattern, paths))
+    return Presence(len(paths), present, patterns > 0 and (folder / STAGING).exists(), patterns)
 
 
 def _is_there(path: Path) -> bool:
@@ -211,13 +199,13 @@ def _is_there(path: Path) -> bool:
 
 
 def overview(manifest: Manifest, root: Path | str | None = None) -> Overview:
-    """Return what is known about a dataset, and how much of it lies below ``root``."""
+    """Describe a dataset, and how much of it lies below ``root``."""
     presence = presence_of(manifest.folder(root), manifest.records)
     return Overview(manifest.card, data_root(root), manifest, presence)
 
 
 def overview_of(name: str, root: Path | str | None = None) -> Overview:
-    """Return what is known about a dataset by its name.
+    """Describe a dataset by its name.
 
     Raises
     ------

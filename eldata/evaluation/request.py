@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -26,9 +25,9 @@ from eldata.manifest.catalogue import (
     shipped_names,
 )
 from eldata.manifest.clips import choose_clips, clip_place, clips_of, windows
-from eldata.manifest.drv import Layout
+from eldata.manifest.layouts import describe_layout
 from eldata.manifest.pair_checks import white_remarks
-from eldata.manifest.pairs import Choice, select_pairs, unpaired
+from eldata.manifest.pairs import Choice, unpaired
 from eldata.manifest.patterns import expand, is_png
 from eldata.manifest.verify import check_files
 from eldata.noise.dark_shading import dark_shading_in
@@ -366,16 +365,14 @@ def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> Scoring
     if unscored and subset is not None:
         alone = unpaired(records, find_subset(subsets, subset))
         records = tuple(replace(record, reference="") for record in alone) or records
-    choose = partial(
-        select_pairs,
-        records,
-        subsets,
+    choice = Choice(
         cameras=(protocol.cameras or None) if request.cameras is None else request.cameras,
         scenes=protocol.scenes or None,
         ratios=protocol.ratios or None,
         subset=subset,
     )
-    candidates, pairs = choose(), choose(exclude_flags=request.exclude_flags)
+    candidates = choice.pairs(records, subsets)
+    pairs = replace(choice, exclude_flags=request.exclude_flags).pairs(records, subsets)
     facts = {"subset": subset, "ratios": sorted({float(pair.ratio) for pair in pairs}), "set_aside": set_aside}
     flags = _flag_facts(request, (pair.flags for pair in pairs), (pair.flags for pair in candidates))
     return ScoringPlan(pairs, facts | flags)
@@ -476,7 +473,7 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
             raise ArgumentError(f"{window.path}: protocol {protocol.name!r} scores {protocol.pixels} frames")
     ids = None if request.ids is None else sorted(request.ids)
     flags = ({row.scene: row.flags for row in each if row.role == "noisy"}.values() for each in (rows, candidates))
-    facts = {"subset": subset, "ids": ids, "layout": str(Layout.of(listed))}
+    facts = {"subset": subset, "ids": ids, "layout": describe_layout(listed)}
     return ScoringPlan(found, facts | _flag_facts(request, *flags))
 
 

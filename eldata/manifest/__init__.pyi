@@ -2,6 +2,7 @@ from .card import Card as Card
 from .card import load_card as load_card
 from .catalogue import Manifest as Manifest
 from .catalogue import load_manifest as load_manifest
+from .catalogue import save_manifest as save_manifest
 from .catalogue import shipped_card as shipped_card
 from .catalogue import shipped_manifest as shipped_manifest
 from .catalogue import shipped_names as shipped_names
@@ -11,4 +12,3 @@ from .own import sort_own_set as sort_own_set
 from .table import load_records as load_records
 from .table import save_records as save_records
 from .verify import verify as verify
-from .writing import save_manifest as save_manifest

@@ -25,7 +25,7 @@ OfPair = TypeVar("OfPair", "PairRecord", "FrameRecord")
 Record = TypeVar("Record")
 
 OWN_PROTOCOL = "raw"
-"""The protocol of a card that names none, such as that of a set of one's own."""
+"""The protocol of a card that names none, such as your own set's."""
 
 CHANNELS = {
     "bayer": (4,),
@@ -74,7 +74,7 @@ class Download:
     about: str = ""
 
     def holds(self, path: str) -> bool:
-        """Return whether the archive holds a path of the manifest."""
+        """Tell whether the archive holds a path of the manifest."""
         return fnmatchcase(path, self.paths)
 
 
@@ -117,7 +117,7 @@ class Subset:
     first: bool = False
 
     def holds(self, pair: PairRecord | FrameRecord) -> bool:
-        """Return whether a pair, or the row of a noisy frame, belongs to this subset, but for ``first``."""
+        """Tell whether a pair, or the row of a noisy frame, belongs to this subset, ``first`` aside."""
         return (
             (not self.splits or pair.split in self.splits)
             and (not self.scenes or pair.scene in self.scenes)
@@ -125,7 +125,7 @@ class Subset:
         )
 
     def members(self, rows: Iterable[OfPair]) -> list[OfPair]:
-        """Return those of a dataset's pairs, or rows of noisy frames, that belong to this subset."""
+        """Return the pairs of a dataset, or rows of noisy frames, that belong to this subset."""
         held = [row for row in rows if self.holds(row)]
         if not self.first:
             return held
@@ -159,7 +159,7 @@ class Card:
     Attributes
     ----------
     name, title, version
-        Short name (that of the manifest's file), full title, version of this manifest.
+        Short name (the manifest's file has it too), full title, version of this manifest.
     folder
         The dataset's folder below the data root; the manifest's paths start there.
     cfa
@@ -246,7 +246,7 @@ def counts_of(records: Iterable[FrameRecord]) -> dict[str, int]:
 
 
 def title_of_set(records: Sequence[FrameRecord], scenes: int) -> str:
-    """Return what a set of so many scenes holds, in words."""
+    """Return a title for a set of so many scenes, from its roles and cameras."""
     what = [counted(scenes, "scene")] if scenes else []
     what += ["calibration frames"] if {"bias", "flat"} & set(counts_of(records)) else []
     cameras = dict.fromkeys(sorted(record.camera for record in records))

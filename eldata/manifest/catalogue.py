@@ -9,7 +9,8 @@ seconds.
 from __future__ import annotations
 
 import os
-from collections import Counter
+from collections import defaultdict
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from importlib.metadata import entry_points
@@ -17,11 +18,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.files import inside, visible_below
+from eldata.base.files import atomic_write, encoded, inside, visible_below
 from eldata.errors import ArgumentError, EldataError, ManifestError, did_you_mean
-from eldata.manifest.card import Card, load_card
+from eldata.manifest.card import Card, card_text, counts_of, load_card
 from eldata.manifest.patterns import expand, is_pattern, matching
-from eldata.manifest.table import load_table
+from eldata.manifest.table import load_table, table_text
 from eldata.raw.stated import StatedFile
 from eldata.records import Exposure
 
@@ -65,7 +66,7 @@ class FrameFiles:
         return cls(folder, stated)
 
     def at(self, path: str) -> Path | StatedFile:
-        """Return what :func:`eldata.raw.read_raw` reads of a path.
+        """Return a path's file for :func:`eldata.raw.read_raw`, with what its card states.
 
         Raises
         ------
@@ -86,12 +87,10 @@ class FrameFiles:
 
 def mosaic_facts(mosaics: Iterable[MosaicFacts], record: FrameRecord) -> MosaicFacts | None:
     """Return the first facts that a card states for a row's camera and path; ``None``: the file states them."""
-    fit = (
-        facts
-        for facts in mosaics
-        if fnmatchcase(record.path, facts.paths) and (not facts.cameras or record.camera in facts.cameras)
-    )
-    return next(fit, None)
+    for facts in mosaics:
+        if fnmatchcase(record.path, facts.paths) and (not facts.cameras or record.camera in facts.cameras):
+            return facts
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,15 +108,15 @@ class Manifest:
         return self.card.name
 
     def stated_folder(self, root: Path | str | None = None) -> Path:
-        """Return where the dataset belongs below a data root (see :func:`data_root`)."""
+        """Return the folder where the dataset belongs below a data root (see :func:`data_root`)."""
         return data_root(root) / self.card.folder
 
     def folder(self, root: Path | str | None = None) -> Path:
-        """Return where the dataset lies below a data root, or in it, as :meth:`folder_at` finds it."""
+        """Find the dataset's folder below a data root, or in it, by :meth:`folder_at`."""
         return self.folder_at(self.stated_folder(root), data_root(root))
 
     def own_folder(self, root: Path | str | None) -> Path:
-        """Return where the dataset lies if ``root`` is meant to be its own folder; ``None``: below the data root."""
+        """Find the dataset's folder if ``root`` is meant to be it; ``None``: below the data root."""
         return self.folder() if root is None else self.folder_at(Path(root), Path(root))
 
     def folder_at(self, expected: Path, *places: Path) -> Path:
@@ -132,35 +131,30 @@ class Manifest:
         ManifestError
             If the expected folder does not hold it, and two others do.
         """
-        paths_in: dict[str, list[str]] = {}
+        paths_in: dict[str, list[str]] = defaultdict(list)
         for record in self.records:
-            paths_in.setdefault(record.path.rpartition("/")[0], []).append(record.path)
-
-        def is_there(folder: Path, path: str) -> bool:
-            return bool(matching(folder, path)) if is_pattern(path) else (folder / path).is_file()
+            paths_in[record.path.rpartition("/")[0]].append(record.path)
 
         def holds(folder: Path) -> bool:
             try:
-                return any(
-                    (folder / parent).is_dir() and any(is_there(folder, path) for path in paths)
-                    for parent, paths in paths_in.items()
-                )
+                there = (path for parent, paths in paths_in.items() if (folder / parent).is_dir() for path in paths)
+                return any(matching(folder, path) if is_pattern(path) else (folder / path).is_file() for path in there)
             except (OSError, EldataError):  # a neighbour, perhaps; the expected folder is read again, and named
                 return False
 
         if holds(expected):
             return expected
         near = [expected / self.card.folder, *places]
-        for place in (place for place in places if place.is_dir()):
+        for place in places:
             folders = [path for path in visible_below(place, deep=False) if path.is_dir()][:_NEAR]
-            near += [*folders, *(one / self.card.folder for one in folders)]
-        found = {folder.resolve(): folder for folder in near if holds(folder)}
-        if len(found) > 1:
+            near += [*folders, *(folder / self.card.folder for folder in folders)]
+        holders = {folder.resolve(): folder for folder in near if holds(folder)}
+        if len(holders) > 1:
             raise ManifestError(
                 f"{expected}: holds no file of {self.name}, but each of these folders does: "
-                f"{', '.join(map(str, found.values()))}; give the one that is meant as root"
+                f"{', '.join(map(str, holders.values()))}; give the one that is meant as root"
             )
-        return next(iter(found.values()), expected)
+        return next(iter(holders.values()), expected)
 
 
 def data_root(root: Path | str | None = None) -> Path:
@@ -171,7 +165,7 @@ def data_root(root: Path | str | None = None) -> Path:
 
 
 def is_manifest(place: Path | str) -> bool:
-    """Return whether a place names a manifest: a CSV file, or a known set's name that no folder here has."""
+    """Tell whether a place names a manifest: a CSV file, or a known set's name that no folder here has."""
     suffix = Path(place).suffix.lower()
     return suffix == ".csv" or (not suffix and str(place) in known_names() and not Path(place).exists())
 
@@ -189,19 +183,63 @@ def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None)
     records, digest = load_table(path, rows)
     card = load_card(path.with_suffix(".json"), facts)
     unknown = {record.camera for record in records} - card.cameras.keys()
-    for record in records if unknown else ():
-        if record.camera in unknown:
-            raise ManifestError(
-                f"{path}, {record.path}: camera {record.camera!r} is not on the card, which has "
-                f"{', '.join(card.cameras)}"
-            )
-    found = Counter(record.role for record in records)
-    if dict(found) != card.counts:
-        cut_off = (
-            "; was eldata lock killed here? lock again" if any(is_pattern(record.path) for record in records) else ""
-        )
-        raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}{cut_off}")
+    if unknown:
+        record = next(record for record in records if record.camera in unknown)
+        known = ", ".join(card.cameras)
+        raise ManifestError(f"{path}, {record.path}: camera {record.camera!r} is not on the card, which has {known}")
+    found = counts_of(records)
+    if found != card.counts:
+        raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {found}")
     return Manifest(path, card, records, digest)
+
+
+def save_manifest(path: Path | str, card: Card, records: Iterable[FrameRecord]) -> Manifest:
+    """Write a manifest's CSV file and, beside it, its card; return it as it loads.
+
+    Both are on the disk under temporary names before either is renamed, the CSV file last: where it is the new one, so
+    is the card. A card that says the same stays as it is.
+
+    Raises
+    ------
+    ManifestError
+        If rows and card contradict each other; nothing is written then.
+    EldataError
+        If a file cannot be written.
+    """
+    path = Path(path)
+    table, facts = encoded(table_text(path, records)), encoded(card_text(card))
+    manifest = load_manifest(path, (table, facts))
+    with atomic_write(path) as rows:
+        rows.write(table)
+        rows.flush()
+        os.fsync(rows.fileno())
+        if _card_of(path) != card:
+            with atomic_write(path.with_suffix(".json")) as file:
+                file.write(facts)
+    return manifest
+
+
+def refuse_others(path: Path, card: Card, records: Iterable[FrameRecord], advice: str) -> None:
+    """Refuse to replace a CSV file or card that says something else: people fill in the card.
+
+    What says the same may be there: the same command wrote it before, or one that ended between the two files.
+
+    Raises
+    ------
+    ArgumentError
+        If so, with what to do instead.
+    """
+    same = {path: path.is_file() and path.read_bytes() == encoded(table_text(path, records))}
+    same[path.with_suffix(".json")] = _card_of(path) == card
+    for file, is_same in same.items():
+        if file.exists() and not is_same:
+            raise ArgumentError(f"{file} is there already, with other content: give another name, or {advice}")
+
+
+def _card_of(path: Path) -> Card | None:
+    with suppress(ManifestError):
+        return load_card(path.with_suffix(".json"))
+    return None
 
 
 def shipped_folder() -> Path:
@@ -223,7 +261,7 @@ def shipped_names() -> tuple[str, ...]:
 
 
 def carded_names() -> tuple[str, ...]:
-    """Return the names of the sets with a shipped card: those of the manifests, and some whose files no text lists."""
+    """Return the names of the sets with a shipped card; some have no manifest, since no text lists their files."""
     return tuple(sorted(path.stem for path in shipped_folder().glob("*.json")))
 
 
@@ -271,7 +309,7 @@ def registered_names() -> tuple[str, ...]:
 
 
 def registered_place(name: str, own: str | None = None) -> str | None:
-    """Return what a name stands for: ``own``, what eldata has of that name, or ``module:Class``; ``None``: nothing.
+    """Resolve a name to ``own``, if eldata has it, or to another package's ``module:Class``; ``None``: it is unknown.
 
     Raises
     ------
@@ -299,16 +337,14 @@ def registered_manifest(name: str, place: str) -> Path:
     spec = find_spec(package)
     if spec is None:
         raise ManifestError(f"dataset {name!r} is registered as {place}, but there is no module {package}; install it")
-    folders = [Path(folder).joinpath(*inner) for folder in spec.submodule_search_locations or ()]
-    folders = [folder if folder.is_dir() else folder.parent for folder in folders]
-    if not folders and spec.origin is not None:
-        folders = [Path(spec.origin).parent]  # a module alone
+    roots = spec.submodule_search_locations or [str(Path(spec.origin or package).parent)]  # or a module alone
+    folders = [folder if folder.is_dir() else folder.parent for folder in (Path(root, *inner) for root in roots)]
     for folder in folders:
         if (folder / f"{name}.csv").is_file():
             return folder / f"{name}.csv"
     raise ManifestError(
-        f"dataset {name!r} is registered as {place}, whose folder {folders[0] if folders else package} has no "
-        f"{name}.csv; commands need that manifest with its card {name}.json there (docs/adding-a-dataset.md)"
+        f"dataset {name!r} is registered as {place}, whose folder {folders[0]} has no {name}.csv; commands need that "
+        f"manifest with its card {name}.json there (docs/adding-a-dataset.md)"
     )
 
 
@@ -343,17 +379,17 @@ def known_manifest(name: str) -> Manifest:
 
 
 def known_manifests(root: Path | str | None = None) -> tuple[tuple[Manifest, ...], tuple[str, ...]]:
-    """Return what the files of all known sets are checked against, and, of those that cannot be loaded, why.
+    """Load the manifests of all known sets as files are checked against them, and say why some cannot be loaded.
 
     What another package registers must not keep the rest from being used.
     """
-    found, problems = [], []
+    manifests, problems = [], []
     for name in dict.fromkeys((*shipped_names(), *registered_names())):
         try:
-            found.append(checking_manifest(name, root))
+            manifests.append(checking_manifest(name, root))
         except EldataError as error:
             problems.append(str(error))
-    return tuple(found), tuple(problems)
+    return tuple(manifests), tuple(problems)
 
 
 def _unknown(name: str, known: Collection[str]) -> str:
@@ -363,7 +399,7 @@ def _unknown(name: str, known: Collection[str]) -> str:
 
 
 def locked_path(name: str, root: Path | str | None = None) -> Path:
-    """Return where ``eldata lock NAME`` writes: a known set's manifest with the sizes and hashes of a copy.
+    """Return the path that ``eldata lock NAME`` writes: a known set's manifest with a copy's sizes and hashes.
 
     Beside the data that it is about, not in the package, which the next update would replace.
     """
@@ -371,7 +407,7 @@ def locked_path(name: str, root: Path | str | None = None) -> Path:
 
 
 def checking_manifest(name: str, root: Path | str | None = None) -> Manifest:
-    """Load what a set's files are checked against: its manifest as locked for this copy, else as it is known.
+    """Load the manifest that a set's files are checked against: as locked for this copy, else as known.
 
     Raises
     ------
@@ -391,7 +427,7 @@ def checking_manifest(name: str, root: Path | str | None = None) -> Manifest:
 
 
 def is_name(text: Path | str) -> bool:
-    """Whether a text is to be taken for a set's name: it is known, or it looks like one, and is not a file."""
+    """Tell whether a text is a set's name: it is known, or it looks like one, and is not a file."""
     if not isinstance(text, str) or not text or Path(text).name != text:
         return False
     return text in known_names() or not (Path(text).suffix or Path(text).exists())
@@ -401,7 +437,7 @@ def find_manifests(where: Path | str | Iterable[Path | str], root: Path | str | 
     """Load one manifest (a CSV file), all of a folder, a known set's by its name, or several of these.
 
     A known name is a name: a folder of that name is ``./eld``. With ``root``, the folder that holds the datasets, what
-    ``eldata lock NAME`` has recorded there is taken in place of the known manifest.
+    ``eldata lock NAME`` has recorded there is taken instead of the known manifest.
 
     Raises
     ------

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 from eldata.errors import ArgumentError, DatasetError, ManifestError, check_choice
 from eldata.manifest.card import find_subset
-from eldata.manifest.pairs import Choice, narrowed
+from eldata.manifest.pairs import Choice, filter_rows
 from eldata.manifest.patterns import is_pattern, sequence_of
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class Clip:
     flags: tuple[str, ...] = ()
 
     def continuous(self, start: int, stop: int) -> bool:
-        """Return whether no number is missing between the frames at these positions."""
+        """Tell whether no number is missing between the frames at these positions."""
         return self.numbers is None or self.numbers[stop - 1] - self.numbers[start] == stop - 1 - start
 
 
@@ -183,7 +183,7 @@ def choose_clips(
     *,
     ids: Collection[str] | None = None,
 ) -> tuple[FrameRecord, ...]:
-    """Return the rows of the chosen clips: those of whose noisy frames one is chosen.
+    """Return the rows of the chosen clips; a clip is chosen if one of its noisy frames is.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def choose_clips(
                 f"subset {choice.subset!r}: the card expects {subset.pairs} clips, the manifest has {len(clips)}; name "
                 "those with ids"
             )
-    chosen = narrowed(chosen, noisy, "clip", choice.wanted_values)
+    chosen = filter_rows(chosen, noisy, "clip", choice.wanted_values)
     if ids is not None:
         chosen = _of_ids(chosen, noisy, ids)
     kept = {setting_name(row) for row in chosen}
@@ -221,7 +221,7 @@ def choose_clips(
 
 
 def _of_ids(chosen: Iterable[FrameRecord], every: Iterable[FrameRecord], ids: Collection[str]) -> list[FrameRecord]:
-    """Return those of the chosen rows whose clips, or sequences, have these names."""
+    """Return the chosen rows whose clips, or sequences, have these names."""
     clips_in: dict[str, list[str]] = defaultdict(list)
     for row in every:
         moment = moment_of(row.scene)
@@ -229,7 +229,7 @@ def _of_ids(chosen: Iterable[FrameRecord], every: Iterable[FrameRecord], ids: Co
             clips_in[moment[0]].append(setting_name(row))
     wanted = ids if isinstance(ids, str) else [name for one in ids for name in clips_in.get(one, [one])]
     by_name = [[replace(row, scene=setting_name(row)) for row in rows] for rows in (chosen, every)]
-    kept = {row.path for row in narrowed(by_name[0], by_name[1], "clip", {"scene": wanted})}
+    kept = {row.path for row in filter_rows(by_name[0], by_name[1], "clip", {"scene": wanted})}
     return [row for row in chosen if row.path in kept]
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from eldata.base.files import sha256_of, write_problem
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ManifestError
-from eldata.manifest.card import counts_of, load_card
+from eldata.manifest.card import counts_of
 from eldata.manifest.catalogue import (
     FrameFiles,
     Manifest,
@@ -19,12 +19,12 @@ from eldata.manifest.catalogue import (
     known_manifest,
     load_manifest,
     locked_path,
+    save_manifest,
 )
+from eldata.manifest.file_checks import check_file
 from eldata.manifest.patterns import expand
-from eldata.manifest.table import load_table
-from eldata.manifest.verify import check_file, verify
+from eldata.manifest.verify import verify
 from eldata.manifest.verify_report import Problem, VerifyReport, row_fault
-from eldata.manifest.writing import save_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -81,7 +81,7 @@ def lock(
     EldataError
         If it cannot be written.
     """
-    loaded, path = _source(manifest, root)
+    loaded, path = _find_source(manifest, root)
     workers = Workers.of(workers)
     checks = verify([loaded], root, cameras=cameras, level="metadata", workers=workers)
     if not checks.ok:
@@ -90,31 +90,30 @@ def lock(
     listed = expand(loaded.records, folder)
     chosen = [record for record in listed if not cameras or record.camera in cameras]
     locked: dict[str, FrameRecord] = {}
-    unfit: list[Problem] = []
-    label = f"{loaded.name} (hashing)"
-    work = partial(_locked, FrameFiles.of(folder.absolute(), loaded.card, chosen), loaded.card.cameras)
-    for outcome in workers.attempt(work, chosen, label=label):
+    problems: list[Problem] = []
+    work = partial(_lock_file, FrameFiles.of(folder.absolute(), loaded.card, chosen), loaded.card.cameras)
+    for outcome in workers.attempt(work, chosen, label=f"{loaded.name} (hashing)"):
         if isinstance(outcome, Failed):
             advice = "make it readable where the hash is taken, and lock again"
-            unfit.append(Problem(loaded.name, outcome.unit.path, "sha256", "a hash", outcome.reason, advice))
+            problems.append(Problem(loaded.name, outcome.unit.path, "sha256", "a hash", outcome.reason, advice))
         else:
-            record, findings = outcome
+            record, of_file = outcome
             locked[record.path] = record
-            unfit += [finding.of(loaded.name) for finding in findings]
-    if unfit:
-        return LockReport(path, checks, tuple(unfit), 0)
-    counts = counts_of(listed)
+            problems += [problem.of(loaded.name) for problem in of_file]
+    if problems:
+        return LockReport(path, checks, tuple(problems), 0)
     path.parent.mkdir(exist_ok=True)
-    save_manifest(path, replace(loaded.card, counts=counts), [locked.get(one.path, one) for one in listed])
+    card = replace(loaded.card, counts=counts_of(listed))
+    save_manifest(path, card, [locked.get(record.path, record) for record in listed])
     return LockReport(path, checks, (), len(chosen))
 
 
-def _source(manifest: Path | str, root: Path | str | None) -> tuple[Manifest, Path]:
+def _find_source(manifest: Path | str, root: Path | str | None) -> tuple[Manifest, Path]:
     """Return the manifest that is to be filled in, and the file that it is written to, which is tried."""
     if not is_name(manifest):
-        return _loaded(Path(manifest), root), Path(manifest)
+        return load_manifest(manifest), Path(manifest)
     known, path = known_manifest(str(manifest)), locked_path(str(manifest), root)
-    loaded = _loaded(path, root) if path.is_file() else known
+    loaded = load_manifest(path) if path.is_file() else known
     if loaded.card.version != known.card.version:  # of an earlier eldata: its hashes are taken again
         loaded = known
     folder = path.parent if path.parent.exists() else data_root(root)
@@ -124,25 +123,14 @@ def _source(manifest: Path | str, root: Path | str | None) -> tuple[Manifest, Pa
     return loaded, path
 
 
-def _loaded(path: Path, root: Path | str | None) -> Manifest:
-    """Load a manifest; also one whose card was written by a lock that was killed before it wrote the rows."""
-    try:
-        return load_manifest(path)
-    except ManifestError:
-        (records, digest), card = load_table(path), load_card(path.with_suffix(".json"))
-        if counts_of(expand(records, data_root(root) / card.folder)) != card.counts:
-            raise
-        return Manifest(path, replace(card, counts=counts_of(records)), records, digest)
-
-
-def _locked(
+def _lock_file(
     files: FrameFiles, cameras: Mapping[str, CameraCard], record: FrameRecord
 ) -> tuple[FrameRecord, list[Problem]]:
     path = files.folder / record.path
     require_files(path)
     locked = replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path))
     if record.sha256 is None:  # a hash of a damaged file would make the damage official
-        return locked, check_file(files, cameras, "full", record).findings
+        return locked, check_file(files, cameras, "full", record).problems
     advice = "if this copy is the right one, empty the row's size_bytes and sha256 and lock again"
     apart = row_fault(record.path, "sha256", record.sha256, str(locked.sha256), advice)
     return locked, [] if locked.sha256 == record.sha256 else [apart]

@@ -1,4 +1,4 @@
-"""A manifest and card of one's own raws, from what their files state and from how they lie in folders.
+"""One's own raws, from what their files state and how they lie in folders: a manifest and card, or the clean ones.
 
 A scene is a folder, unless a pattern says otherwise. In it the reference is what was exposed most (ISO times exposure
 time) at the lowest ISO: frames of factor 1 are exposed as much, at a higher one. Where that does not tell, it is asked.
@@ -12,14 +12,16 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from fractions import Fraction
 from functools import partial
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from eldata.base.numbers import counted
 from eldata.base.workers import Failed, Workers
-from eldata.errors import ArgumentError, RawFileError
-from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, title_of_set
+from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileError
+from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, load_card, title_of_set
+from eldata.manifest.catalogue import load_manifest, shipped_folder
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
-from eldata.manifest.verify_report import Problem
+from eldata.manifest.verify_report import Problem, row_fault
 from eldata.raw.files import ShotFacts, find_doubles, raws_below
 from eldata.raw.levels import packing_sites
 from eldata.records import FrameRecord, Sensor
@@ -30,18 +32,23 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.base.workers import AnyWorkers
-    from eldata.records import Role
+    from eldata.records import RawHeader, Role
 
 SCENE = "{scene}"
 
 _UNFIT = re.compile(r"[^\w.+-]+")  # for a name in a manifest
 _BY_HAND = "or write its row by hand (docs/adding-a-dataset.md)"
+_UP = 4  # folders above one in which its manifest may lie
+_HOW = (
+    "say which are: give a manifest (eldata manifest FOLDER -o mine.csv), or a pattern of their paths, such as "
+    "reference='*/long/*' (--reference of eldata pack and synthesize); '*' takes all"
+)
 _WHICH = "say which are references with --reference PATTERN, or where a scene's name stands with --scene PATTERN"
 
 
 @dataclass(frozen=True, slots=True)
 class OwnSet:
-    """What a folder of raws was taken for.
+    """A manifest of one's own raws, and its problems.
 
     Attributes
     ----------
@@ -116,7 +123,7 @@ class _Frame(NamedTuple):
 def sort_own_set(
     folder: Path, name: str, *, reference: str | None = None, scene: str | None = None, workers: AnyWorkers = 1
 ) -> OwnSet:
-    """Say what each raw below a folder is: reference, noisy frame of which reference and ratio, bias or flat frame.
+    """Sort the raws below a folder into references, noisy frames with their reference and ratio, bias and flat frames.
 
     Frames below a folder ``bias`` or ``flat`` are calibration frames. A noisy frame belongs to the reference of its
     scene and camera that was taken nearest to it, by the clock where all of them state a time, else by their names'
@@ -129,7 +136,7 @@ def sort_own_set(
     name
         Of the set.
     reference
-        Pattern of the references' paths below the folder, with ``*`` and ``?`` as in a shell, in place of exposures.
+        Pattern of the references' paths below the folder, with ``*`` and ``?`` as in a shell, instead of exposures.
     scene
         Pattern of all paths with ``{scene}`` where a scene's name stands, such as ``*/{scene}_*``; ``*`` ends at a
         folder. Without it, a scene is a folder; where two of a camera have one name, their paths are their names.
@@ -146,66 +153,65 @@ def sort_own_set(
     from eldata.raw.reading import raw_facts
 
     pattern = None if scene is None else _scene_pattern(scene)
-    problem = partial(Problem, name)
-    problems: list[Problem] = []
+    frames, left_out, problems = _read_frames(folder, workers)
+    cfas = set()
+    for first in {frame.model: frame for frame in reversed(frames)}.values():
+        _, sensor = raw_facts(folder / first.path, decode=True)
+        if isinstance(sensor, Sensor):
+            cfas.add(packing_sites(sensor.cfa).name)
+        elif sensor is not None:
+            problems.append(_broken(first.path, sensor))
+    records: list[FrameRecord] = []
+    scenes: dict[tuple[str, str], list[_Frame]] = defaultdict(list)
+    for frame in frames:
+        fit = None if pattern is None else pattern.fullmatch(frame.path)
+        if not frame.camera:
+            problems.append(row_fault(frame.path, "camera", "a model in EXIF", "none", f"use the original, {_BY_HAND}"))
+        elif frame.calibration is not None:
+            records.append(frame.row(role=frame.calibration))
+        elif pattern is not None and fit is None:
+            problems.append(row_fault(frame.path, "scene", f"a path like {scene}", "another", "mend --scene PATTERN"))
+        else:
+            place = frame.path.rpartition("/")[0] if fit is None else fit[1]
+            scenes[place or folder.name, frame.model].append(frame)
+    count_of = Counter((PurePosixPath(place).name, model) for place, model in scenes)
+    titles: dict[tuple[str, str], str] = {}
+    for (place, model), members in scenes.items():
+        last = PurePosixPath(place).name
+        title = _UNFIT.sub("-", last if count_of[last, model] == 1 else place)
+        other = titles.setdefault((title, members[0].camera), f"{place} of {model}")
+        if other == f"{place} of {model}":
+            rows, unclear = _sort_scene(title, members, reference)
+            records += rows
+            problems += unclear
+        else:
+            problems.append(row_fault(place, "scene", f"a name of its own, not {title}", other, "rename one of them"))
+    records.sort(key=lambda record: record.path)
+    card = _card(name, folder.name, cfa_word(cfas), frames, records)
+    return OwnSet(card, tuple(records), tuple(problem.of(name) for problem in problems), left_out)
+
+
+def _read_frames(folder: Path, workers: AnyWorkers) -> tuple[list[_Frame], tuple[tuple[str, str], ...], list[Problem]]:
+    """Return one frame of each shot, which other files show it, and the problems of files."""
     frames: list[_Frame] = []
-    for outcome in Workers.of(workers).attempt(partial(_looked_into, folder), raws_below(folder), label="reading"):
+    problems: list[Problem] = []
+    for outcome in Workers.of(workers).attempt(partial(_read_frame, folder), raws_below(folder), label="reading"):
         if isinstance(outcome, Failed):
-            problems.append(_broken(problem, outcome.unit.relative_to(folder).as_posix(), outcome.error))
+            problems.append(_broken(outcome.unit.relative_to(folder).as_posix(), outcome.error))
         else:
             frames.append(outcome)
-    frames, left_out = _drop_doubles(folder, frames, workers)
+    files = {folder / frame.path: ShotFacts(frame.model, frame.iso, frame.exposure_s, frame.taken) for frame in frames}
+    doubles = find_doubles(files, workers, across=False)
+    left_out = {path.relative_to(folder).as_posix(): other for path, other in doubles.items()}
+    frames = [frame for frame in frames if frame.path not in left_out]
     spelled: dict[str, str] = {}
     for frame in frames:
         other = spelled.setdefault(frame.path.casefold(), frame.path)
         if other != frame.path:
             expected = "a name that differs from others in more than capitals"
-            problems.append(problem(frame.path, "file", expected, other, "they are two shots: rename one of them"))
-    filters = set()
-    for first in {frame.model: frame for frame in reversed(frames)}.values():
-        _, sensor = raw_facts(folder / first.path, decode=True)
-        if isinstance(sensor, Sensor):
-            filters.add(packing_sites(sensor.cfa).name)
-        elif sensor is not None:
-            problems.append(_broken(problem, first.path, sensor))
-    records: list[FrameRecord] = []
-    scenes: dict[tuple[str, str], list[_Frame]] = defaultdict(list)
-    for frame in frames:
-        found = None if pattern is None else pattern.fullmatch(frame.path)
-        if not frame.camera:
-            problems.append(problem(frame.path, "camera", "a model in EXIF", "none", f"use the original, {_BY_HAND}"))
-        elif frame.calibration is not None:
-            records.append(frame.row(role=frame.calibration))
-        elif pattern is not None and found is None:
-            problems.append(problem(frame.path, "scene", f"a path like {scene}", "another", "mend --scene PATTERN"))
-        else:
-            place = frame.path.rpartition("/")[0] if found is None else found[1]
-            scenes[place or folder.name, frame.model].append(frame)
-    titles: dict[tuple[str, str], str] = {}
-    for (place, model), members in scenes.items():
-        alike = [other for other, of in scenes if of == model and _last(other) == _last(place)]
-        title = _UNFIT.sub("-", _last(place) if len(alike) == 1 else place)
-        other = titles.setdefault((title, members[0].camera), f"{place} of {model}")
-        if other != f"{place} of {model}":
-            problems.append(problem(place, "scene", f"a name of its own, not {title}", other, "rename one of them"))
-            continue
-        rows, unclear = _sort_scene(title, members, reference, problem)
-        records += rows
-        problems += unclear
-    records.sort(key=lambda record: record.path)
-    card = _card(name, folder.name, cfa_word(filters), frames, records)
-    return OwnSet(card, tuple(records), tuple(problems), left_out)
-
-
-def _drop_doubles(
-    folder: Path, frames: list[_Frame], workers: AnyWorkers
-) -> tuple[list[_Frame], tuple[tuple[str, str], ...]]:
-    """Return one frame of each shot, and which other files show it."""
-    files = {folder / frame.path: ShotFacts(frame.model, frame.iso, frame.exposure_s, frame.taken) for frame in frames}
-    doubles = find_doubles(files, workers, across=False)
-    left_out = {path.relative_to(folder).as_posix(): other for path, other in doubles.items()}
-    kept = [frame for frame in frames if frame.path not in left_out]
-    return kept, tuple((path, other.relative_to(folder).as_posix()) for path, other in sorted(left_out.items()))
+            problems.append(row_fault(frame.path, "file", expected, other, "they are two shots: rename one of them"))
+    pairs = sorted((path, other.relative_to(folder).as_posix()) for path, other in left_out.items())
+    return frames, tuple(pairs), problems
 
 
 def _scene_pattern(scene: str) -> re.Pattern[str]:
@@ -216,50 +222,48 @@ def _scene_pattern(scene: str) -> re.Pattern[str]:
     return re.compile(f"{before}([^/]+?){after}")
 
 
-def _looked_into(folder: Path, path: Path) -> _Frame:
+def _read_frame(folder: Path, path: Path) -> _Frame:
     from eldata.raw.reading import raw_facts
 
     header, _ = raw_facts(path, decode=False)
+    return _frame_of(header, path.relative_to(folder).as_posix())
+
+
+def _frame_of(header: RawHeader, path: str) -> _Frame:
     camera, exposure = _UNFIT.sub("", header.model), header.exposure
-    place = path.relative_to(folder).as_posix()
-    return _Frame(place, header.model, camera, exposure.iso, exposure.exposure_s, header.taken)
+    return _Frame(path, header.model, camera, exposure.iso, exposure.exposure_s, header.taken)
 
 
-def _last(place: str) -> str:
-    return place.rpartition("/")[2]
-
-
-def _broken(problem: partial[Problem], path: str, error: Exception) -> Problem:
+def _broken(path: str, error: Exception) -> Problem:
     reason = error.reason if isinstance(error, RawFileError) else str(error)
-    return problem(path, "file", "a camera raw", reason, "copy it again, or take it out of the folder")
+    return row_fault(path, "file", "a camera raw", reason, "copy it again, or take it out of the folder")
 
 
-def _sort_scene(
-    scene: str, frames: Sequence[_Frame], reference: str | None, problem: partial[Problem]
-) -> tuple[list[FrameRecord], list[Problem]]:
+def _sort_scene(scene: str, frames: Sequence[_Frame], reference: str | None) -> tuple[list[FrameRecord], list[Problem]]:
     """Return the rows of a scene's frames of one camera, or what is unclear about them."""
     unstated = [frame for frame in frames if not frame.light]
     if unstated:
         expected, advice = "ISO and exposure time in EXIF", f"use the original, {_BY_HAND}"
-        return [], [problem(frame.path, "exposure", expected, "not both", advice) for frame in unstated]
+        return [], [row_fault(frame.path, "exposure", expected, "not both", advice) for frame in unstated]
     brightest = max(frames, key=lambda frame: frame.light)
     lowest = min(frame.iso or 0 for frame in frames)
     if reference is None:
-        chosen = [one for one in frames if one.iso == lowest and one.light * (1 + RATIO_TOLERANCE) >= brightest.light]
+        enough = brightest.light / (1 + RATIO_TOLERANCE)
+        chosen = [frame for frame in frames if frame.iso == lowest and frame.light >= enough]
         found = f"most light in {brightest.path}, at ISO {brightest.iso}, and others at ISO {lowest}"
     else:
-        chosen = [one for one in frames if fnmatchcase(one.path, reference)]
+        chosen = [frame for frame in frames if fnmatchcase(frame.path, reference)]
         found = f"no path like {reference}"
     noisy = [frame for frame in frames if frame not in chosen]
     if not chosen or not noisy:
         alone = "exposed alike" if reference is None else "all of them references"
         found = found if noisy else f"{counted(len(frames), 'frame')}, {alone}"
-        return [], [problem(scene, "reference", "references and noisy frames", found, _WHICH)]
-    rows = [one.row(role="reference", scene=scene, split="test") for one in chosen]
-    for one in noisy:
-        nearest = _nearest(one, chosen, frames)
-        ratio = _nominal(nearest.light / one.light)
-        rows.append(one.row(role="noisy", scene=scene, split="test", ratio=ratio, reference=nearest.path))
+        return [], [row_fault(scene, "reference", "references and noisy frames", found, _WHICH)]
+    rows = [frame.row(role="reference", scene=scene, split="test") for frame in chosen]
+    for frame in noisy:
+        nearest = _nearest(frame, chosen, frames)
+        ratio = _nominal(nearest.light / frame.light)
+        rows.append(frame.row(role="noisy", scene=scene, split="test", ratio=ratio, reference=nearest.path))
     return rows, []
 
 
@@ -294,3 +298,92 @@ def _card(name: str, folder: str, cfa: str, frames: Sequence[_Frame], records: S
         counts=counts_of(records),
         sources=("eldata manifest: roles, ratios and exposures as EXIF and folders say",),
     )
+
+
+# --- which raws of a folder are clean ---------------------------------------------------------------------------------
+
+
+def clean_raws(folder: Path, reference: str | None = None) -> list[Path]:
+    """Return the camera raws below a folder that are clean frames, sorted.
+
+    Of files that a manifest beside them lists, or the shipped one of a folder of that name, these are the references.
+    Of others all, if a camera's are of one ISO; else, as ``eldata manifest`` has it, those at its lowest ISO, if in
+    each folder they are what was exposed most (ISO times exposure time), and no folder is without them.
+
+    Parameters
+    ----------
+    folder
+        Searched through at any depth.
+    reference
+        Pattern of the clean frames' paths below it, with ``*`` and ``?``, instead of all this.
+
+    Raises
+    ------
+    DatasetError
+        If there is none, or it is not certain which they are.
+    """
+    paths = raws_below(folder)
+    if reference is not None:
+        chosen = [path for path in paths if fnmatchcase(path.relative_to(folder).as_posix(), reference)]
+        if not chosen:
+            raise DatasetError(f"{folder}: none of its {counted(len(paths), 'camera raw')} has a path like {reference}")
+        return chosen
+    roles = _listed_roles(folder, paths)
+    chosen = [path for path in paths if roles.get(path) == "reference"]
+    others = [path for path in paths if path not in roles]
+    if not chosen and not others:
+        raise DatasetError(f"{folder}: its manifest lists no reference among its {counted(len(paths), 'camera raw')}")
+    return sorted(chosen + (_choose_by_exposure(folder, others) if len(others) > 1 else others))
+
+
+def _listed_roles(folder: Path, paths: Sequence[Path]) -> dict[Path, Role]:
+    """Return the roles that a manifest states of these files: the nearest one that lists some."""
+    whole = folder.resolve()
+    above = (whole, *whole.parents[:_UP])
+    near = (*above, *(path for path in whole.iterdir() if path.is_dir()))
+    for place in (*(each for one in above for each in (one, one / "manifests")), shipped_folder()):
+        for table in sorted(place.glob("*.csv")):
+            try:
+                name = load_card(table.with_suffix(".json")).folder
+            except ManifestError:  # another table
+                continue
+            bases = [path for path in near if path.name.casefold() == name.casefold()]
+            records = load_manifest(table).records if bases else ()
+            for base in bases:
+                rows = {base / record.path: record.role for record in records}
+                roles = {path: rows[there] for path in paths if (there := whole / path.relative_to(folder)) in rows}
+                if roles:
+                    return roles
+    return {}
+
+
+def _choose_by_exposure(folder: Path, paths: Sequence[Path]) -> list[Path]:
+    """Return a camera's files of one ISO, or those at its lowest where they are what was exposed most."""
+    from eldata.raw.reading import read_header
+
+    cameras: dict[str, list[tuple[Path, _Frame]]] = defaultdict(list)
+    chosen: list[Path] = []
+    for path in paths:
+        try:
+            header = read_header(path)
+        except RawFileError:
+            chosen.append(path)  # whatever reads it says why it cannot
+        else:
+            cameras[header.model].append((path, _frame_of(header, str(path.parent))))
+    for frames in cameras.values():
+        isos = sorted({frame.iso for _, frame in frames if frame.iso is not None})
+        if len(isos) < 2:
+            chosen += [path for path, _ in frames]
+            continue
+        for place in dict.fromkeys(frame.path for _, frame in frames):
+            members = [(path, frame) for path, frame in frames if frame.path == place]
+            lowest = [(path, frame) for path, frame in members if frame.iso == isos[0]]
+            darkest = min((frame.light for _, frame in lowest), default=Fraction(0))
+            if darkest * (1 + RATIO_TOLERANCE) < max(frame.light for _, frame in members) or not lowest:
+                those = "those at the lowest are not what was exposed most" if lowest else "none is at the lowest"
+                raise DatasetError(
+                    f"{folder}: its {counted(len(frames), 'camera raw')} are of ISO {isos[0]} to {isos[-1]}, and in "
+                    f"{place} {those}, so it is not certain which are clean; {_HOW}"
+                )
+            chosen += [path for path, _ in lowest]
+    return chosen

@@ -61,13 +61,22 @@ class Choice:
 
     @property
     def wanted_values(self) -> dict[str, Collection[object] | None]:
-        """The wanted values by kind, for :func:`narrowed`."""
+        """The wanted values by kind, for :func:`filter_rows`."""
         split, flags = splits_of(self.split), self.exclude_flags
         values = self.cameras, self.scenes, self.isos, self.ratios, split, flags
         return dict(zip(("camera", "scene", "ISO", "ratio", "split", "flag"), values, strict=True))
 
     def pairs(self, records: Iterable[FrameRecord], subsets: Sequence[Subset] = ()) -> tuple[PairRecord, ...]:
-        """Return the chosen pairs of a manifest's rows, in their order; raises like :func:`select_pairs`."""
+        """Return the chosen pairs of a manifest's rows, in their order.
+
+        Raises
+        ------
+        ArgumentError
+            If a value does not occur or the subset is unknown; the message lists the known ones. If no pair has all
+            values, or no frame of the subset a reference.
+        ManifestError
+            If the subset has another number of pairs than its card says.
+        """
         noisy = [
             record
             for record in records
@@ -82,61 +91,29 @@ class Choice:
                 "references, so they cannot be scored here; eldata predict and eldata baseline predict them (--subset)"
             )
         chosen = pairs if found is None else found.choose(pairs)
-        return tuple(narrowed(chosen, pairs, "pair", self.wanted_values))
+        return tuple(filter_rows(chosen, pairs, "pair", self.wanted_values))
 
 
 def splits_of(split: str | Collection[str] | None) -> Collection[str] | None:
-    """Return one split, or several, as several."""
+    """Return one split, or several, as a collection."""
     return (split,) if isinstance(split, str) else split
 
 
 def unpaired(records: Iterable[FrameRecord], subset: Subset) -> tuple[FrameRecord, ...]:
-    """Return the noisy rows of a subset of which none has a reference, as of a benchmark; nothing of any other."""
+    """Return the noisy rows of a subset without references, such as a benchmark's; none of any other subset."""
     held = [record for record in records if record.role == "noisy" and subset.holds(record)]
     return () if any(record.reference is not None for record in held) else tuple(held)
 
 
-def select_pairs(
-    records: Iterable[FrameRecord],
-    subsets: Sequence[Subset] = (),
-    *,
-    cameras: Collection[str] | None = None,
-    scenes: Collection[str | int] | None = None,
-    isos: Collection[int] | None = None,
-    ratios: Collection[float | Fraction] | None = None,
-    split: str | Collection[str] | None = None,
-    subset: str | None = None,
-    exclude_flags: Collection[str] = (),
-) -> tuple[PairRecord, ...]:
-    """Return the chosen pairs of a manifest's rows, in their order.
-
-    Parameters
-    ----------
-    records, subsets
-        Rows of a manifest, and the subsets of its card.
-    cameras, scenes, isos, ratios, split, subset, exclude_flags
-        See :class:`Choice`.
-
-    Raises
-    ------
-    ArgumentError
-        If a value does not occur or the subset is unknown; the message lists the known ones. If no pair has all values,
-        or no frame of the subset a reference.
-    ManifestError
-        If the subset has another number of pairs than its card says.
-    """
-    return Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags).pairs(records, subsets)
-
-
-def narrowed(
+def filter_rows(
     chosen: Sequence[Item], every: Sequence[Item], what: str, wanted: Mapping[str, Collection[object] | None]
 ) -> list[Item]:
-    """Return those of the chosen pairs (or rows of clips) that have a wanted value of each kind.
+    """Return the chosen pairs (or rows of clips) that have a wanted value of each kind.
 
     Parameters
     ----------
     chosen, every
-        What is narrowed, and what the known values are of.
+        The items to filter, and all items, whose values are known.
     what
         ``"pair"`` or ``"clip"``, for messages.
     wanted

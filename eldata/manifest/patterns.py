@@ -17,10 +17,9 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from eldata.base.files import inside, visible_below
-from eldata.manifest.verify_report import Problem, row_fault
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
     from pathlib import Path
 
     from eldata.records import FrameRecord
@@ -30,12 +29,12 @@ _DIGITS = re.compile(r"([0-9]+)")
 
 
 def is_pattern(path: str) -> bool:
-    """Return whether a row's path stands for all files that it matches."""
+    """Tell whether a row's path is a pattern, which stands for all files that it matches."""
     return "*" in path
 
 
 def is_png(path: str) -> bool:
-    """Return whether a row is a PNG file."""
+    """Tell whether a path is a PNG file's."""
     return path.lower().endswith(".png")
 
 
@@ -82,22 +81,6 @@ def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, .
         for path in files.get(row.path) or (row.path,)
     ]
     return tuple(sorted(expanded, key=attrgetter("path")))
-
-
-def pattern_findings(records: Iterable[FrameRecord], folder: Path) -> list[Problem]:
-    """Return what is wrong with the files that patterns match: several references, odd names, gaps in the numbers."""
-    findings = []
-    for row in records:
-        if not is_pattern(row.path):
-            continue
-        files = matching(folder, row.path)
-        if row.role == "reference" and len(files) > 1:
-            names = ", ".join(PurePosixPath(path).name for path in files)
-            advice = "which one is the reference is not known: move the others away"
-            findings.append(row_fault(row.path, "file", "one file", names, advice))
-        elif row.role != "reference":
-            findings += sequence_findings(files)
-    return findings
 
 
 # --- running numbers --------------------------------------------------------------------------------------------------
@@ -149,31 +132,3 @@ def sequence_of(names: Iterable[str]) -> FrameSequence:
 
 def _key(part: str) -> tuple[int, int, str]:
     return (0, int(part), "") if part.isdecimal() else (1, 0, part)
-
-
-def sequence_findings(paths: Sequence[str]) -> list[Problem]:
-    """Return what is wrong with the names of one clip's frames."""
-    if not paths:
-        return []
-    parent = PurePosixPath(paths[0]).parent
-    sequence = sequence_of(PurePosixPath(path).name for path in paths)
-    advice = (
-        "copy or download the folder again; if it is whole as published, list the copy's files in a manifest of their "
-        "own (eldata.manifest.drv.scan_preprocessed)"
-    )
-    findings = [
-        row_fault(
-            f"{parent}/{name}", "name", "a name like the clip's others", name, "move it away: it shifts the frames"
-        )
-        for name in sequence.odd
-    ]
-    findings += [
-        row_fault(f"{parent}", "number", f"each frame once, and so one frame {number}", "two", "move one away")
-        for number in sequence.doubles
-    ]
-    for first, last in sequence.gaps:
-        numbers = sequence.numbers or (first, last)
-        expected = f"frames {numbers[0]} to {numbers[-1]} without a gap"
-        found = f"no frame {first}" if first == last else f"no frames {first} to {last}"
-        findings.append(row_fault(f"{parent}", "number", expected, found, advice))
-    return findings

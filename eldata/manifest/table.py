@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import re
+from array import array
 from fractions import Fraction
+from functools import lru_cache
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, get_args
 
-from eldata.base.fields import TextFile, TextRow, names_of, no_search_for_cycles
+from eldata.base.fields import TextFile, names_of, no_search_for_cycles
 from eldata.base.files import path_problem, write_text
+from eldata.base.numbers import fraction_of, whole_of
 from eldata.base.tables import csv_text
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, ManifestError
@@ -61,91 +64,46 @@ def load_table(path: Path, content: bytes | None = None) -> tuple[tuple[FrameRec
 
 
 def _parse(file: TextFile) -> tuple[FrameRecord, ...]:
-    """Return the rows, sorted by path: by columns, which is fast; if something is wrong, by rows, to say where."""
+    """Return the rows, sorted by path. They are read by columns, some at a time: a table may have a million."""
     records: list[FrameRecord] = []
-    try:
-        with no_search_for_cycles():
-            _by_columns(file, records)
-    except (ManifestError, ValueError):
-        records = _by_rows(file, records)
+    lines = array("Q")
+    with no_search_for_cycles():
+        for numbers, columns in file.columns(COLUMNS):
+            cells = zip(COLUMNS, columns, strict=True)
+            values = {name: _parse_cells(file, name, texts, numbers) for name, texts in cells}
+            records += from_columns(FrameRecord, values)
+            lines.extend(numbers)
+    _check_paths(file, records, lines)
     return Records(sorted(records, key=attrgetter("path")))
 
 
-def _by_rows(file: TextFile, begun: Sequence[FrameRecord] = ()) -> list[FrameRecord]:
-    """Return the rows in order, or say what is wrong first; those ``begun`` with are right by themselves."""
-    records: list[FrameRecord] = []
-    places: dict[str, str] = {}
-    for row in file.rows(COLUMNS):
-        if len(records) < len(begun):
-            record = begun[len(records)]
-        else:
-            record = FrameRecord(**{name: read(row, name) for name, read in _READ.items()})
-        key = record.path.casefold()  # two names that one file system would hold as one file
-        if key in places:
-            raise row.problem("path", f"{shown(record.path)} stands in {places[key]} already")
-        places[key] = row.place
-        records.append(record)
-    role_of = {record.path: record.role for record in records}
-    for record, place in zip(records, places.values(), strict=True):
-        if record.reference is not None and role_of.get(record.reference) != "reference":
-            row = TextRow(file, {}, place)
-            raise row.wrong("reference", "the path of a row with role reference", record.reference)
-    return records
+def _parse_cells(file: TextFile, name: str, cells: Sequence[str], lines: Sequence[int]) -> Sequence[object]:
+    """Parse the cells of one column."""
+    if name == "path" and all(map(_PLAIN_PATH.fullmatch, cells)):
+        return cells
+    values: list[object] = []
+    try:
+        values.extend(map(_PARSE[name], cells))  # keeps those before a bad one
+    except ArgumentError as error:
+        raise file.problem(str(error), f"line {lines[len(values)]}, column {name}") from None
+    return values
 
 
-# --- by columns -------------------------------------------------------------------------------------------------------
-
-
-# Cells that need no closer look, of the columns in which nearly all differ. Of a plain path no part begins with a dot.
-_PLAIN_PATH = re.compile(
-    r"[A-Za-z0-9_ ()+-][A-Za-z0-9_ ()+.-]{0,254}(?:/[A-Za-z0-9_ ()+-][A-Za-z0-9_ ()+.-]{0,254}){0,15}"
-)
-_PLAIN: dict[str, tuple[re.Pattern[str], Callable[[str], object]]] = {
-    "path": (_PLAIN_PATH, str),
-    "size_bytes": (re.compile(r"(?:[0-9]{1,18})?"), lambda cell: int(cell) if cell else None),
-    "sha256": (re.compile(rf"(?:{_SHA256.pattern})?"), lambda cell: cell or None),
-}
-_MOST_KEPT = 2**16
-
-
-def _by_columns(file: TextFile, records: list[FrameRecord]) -> None:
-    """Add the rows of a table in which nothing is wrong; anything else raises an error that does not say where.
-
-    What was added until then is right by itself.
-    """
-    known = {name: _Known(file, name) for name in COLUMNS}
-    # Of names that one file system would hold as one file, the hashes: those of a million names are small.
-    keys: set[int] = set()
-    to_be_references: set[object] = set()
-    are_references: set[object] = set()
-    for columns in file.columns(COLUMNS):
-        values: dict[str, Sequence[object]] = {}
-        for name, cells in zip(COLUMNS, columns, strict=True):
-            plain, value_of = _PLAIN.get(name, (None, None))
-            if plain is None or value_of is None or not all(map(plain.fullmatch, cells)):
-                value_of = known[name].__getitem__
-            values[name] = list(map(value_of, cells))
-        records += from_columns(FrameRecord, values)
-        keys.update(map(hash, map(str.casefold, columns[0])))
-        to_be_references.update(values["reference"])
-        pairs = zip(values["path"], values["role"], strict=True)
-        are_references.update(path for path, role in pairs if role == "reference")
-    if len(keys) < len(records) or not to_be_references <= are_references | {None}:
-        raise ValueError(COLUMNS)
-
-
-class _Known(dict[str, Any]):
-    """What cells of one column hold, by their text: most columns have few texts."""
-
-    def __init__(self, file: TextFile, name: str) -> None:
-        self._file = file
-        self._name = name
-
-    def __missing__(self, text: str) -> object:
-        if len(self) >= _MOST_KEPT:
-            self.clear()
-        value = self[text] = _READ[self._name](TextRow(self._file, {self._name: text}), self._name)
-        return value
+def _check_paths(file: TextFile, records: Sequence[FrameRecord], lines: Sequence[int]) -> None:
+    """Refuse a path that stands in two rows, and a reference that is no row's with that role."""
+    keys = {record.path.casefold() for record in records}  # a file system may hold two such names as one file
+    if len(keys) < len(records):
+        places: dict[str, int] = {}
+        for record, line in zip(records, lines, strict=True):
+            other = places.setdefault(record.path.casefold(), line)
+            if other != line:
+                reason = f"{shown(record.path)} stands in line {other} already"
+                raise file.problem(reason, f"line {line}, column path")
+    references = {record.path for record in records if record.role == "reference"}
+    for record, line in zip(records, lines, strict=True):
+        if record.reference is not None and record.reference not in references:
+            reason = f"expected the path of a row with role reference, found {shown(record.reference)}"
+            raise file.problem(reason, f"line {line}, column reference")
 
 
 def save_records(path: Path, records: Iterable[FrameRecord]) -> None:
@@ -196,39 +154,58 @@ def _path(text: str) -> str:
     return text
 
 
+def _role(text: str) -> str:
+    if text not in ROLES:
+        raise ArgumentError(f"expected one of {', '.join(map(shown, ROLES))}, found {shown(text)}")
+    return text
+
+
 def _name(text: str) -> str:
     if not _NAME.fullmatch(text):
         raise ArgumentError(f"expected a name of letters, digits and . _ + -, found {shown(text)}")
     return text
 
 
-def _sha256(text: str) -> str:
-    if not _SHA256.fullmatch(text):
+def _sha256(text: str) -> str | None:
+    if text and not _SHA256.fullmatch(text):
         raise ArgumentError(f"expected sha256: and 64 hexadecimal digits, found {shown(text)}")
-    return text
+    return text or None
 
 
-def _flags(row: TextRow, name: str) -> tuple[str, ...]:
-    flags = row.data[name].split(";") if row.data[name] else ()
+def _flags(text: str) -> tuple[str, ...]:
+    flags = text.split(";") if text else ()
     if not all(map(_NAME.fullmatch, flags)):
-        raise row.wrong(name, "a ;-separated list of words", row.data[name])
+        raise ArgumentError(f"expected a ;-separated list of words, found {shown(text)}")
     return tuple(flags)
 
 
-# How each column is read, in the order in which a row's problems are looked for.
-_READ: dict[str, Callable[[TextRow, str], Any]] = {
-    "flags": _flags,
-    "path": lambda row, name: row.parsed(name, _path),
-    "role": lambda row, name: row.choice(name, ROLES),
-    "camera": lambda row, name: row.parsed(name, _name),
-    "scene": lambda row, name: row.optional(name, row.parsed, "", parse=_name),
-    "split": lambda row, name: row.optional(name, row.parsed, "", parse=_name),
-    "iso": lambda row, name: row.optional(name, row.fraction, above=0),
-    "exposure_s": lambda row, name: row.optional(name, row.fraction, above=0),
-    "ratio": lambda row, name: row.optional(name, row.fraction, above=0),
-    "reference": lambda row, name: row.optional(name, row.parsed, parse=_path),
-    "width": lambda row, name: row.optional(name, row.whole),
-    "height": lambda row, name: row.optional(name, row.whole),
-    "size_bytes": lambda row, name: row.optional(name, row.whole),
-    "sha256": lambda row, name: row.optional(name, row.parsed, parse=_sha256),
+def _number(text: str) -> Fraction | None:
+    return fraction_of(text, above=0) if text else None
+
+
+def _whole(text: str) -> int | None:
+    return whole_of(text) if text else None
+
+
+# How the cells of each column are read. Most columns have few texts, each of which is read once.
+_cached = lru_cache(2**16)
+_PARSE: dict[str, Callable[[str], Any]] = {
+    "path": _path,
+    "role": _cached(_role),
+    "camera": _cached(_name),
+    "scene": _cached(lambda text: text and _name(text)),
+    "split": _cached(lambda text: text and _name(text)),
+    "iso": _cached(_number),
+    "exposure_s": _cached(_number),
+    "ratio": _cached(_number),
+    "reference": _cached(lambda text: _path(text) if text else None),
+    "width": _cached(_whole),
+    "height": _cached(_whole),
+    "size_bytes": _whole,
+    "sha256": _sha256,
+    "flags": _cached(_flags),
 }
+# Needs no closer look: no part of it begins with a dot.
+_PLAIN_PATH = re.compile(
+    r"[A-Za-z0-9_ ()+-][A-Za-z0-9_ ()+.-]{0,254}(?:/[A-Za-z0-9_ ()+-][A-Za-z0-9_ ()+.-]{0,254}){0,15}"
+)

@@ -1,4 +1,4 @@
-"""Are the files on the disk what the manifest says? Finds and lists every problem; never writes.
+"""Verifying files on the disk against manifests: every problem is found and listed, nothing is written.
 
 Levels, each with those before it:
 
@@ -18,38 +18,24 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from eldata.base.files import file_problem, inside, sha256_of, visible_below
-from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
-from eldata.errors import ArgumentError, ManifestError, RawFileError, UnusableRawError, did_you_mean
+from eldata.base.files import inside, visible_below
+from eldata.base.workers import AnyWorkers, Failed, Workers
+from eldata.errors import ManifestError, check_choice, did_you_mean
 from eldata.manifest.catalogue import FrameFiles, Manifest, find_manifests
-from eldata.manifest.clip_checks import (
-    exposure_findings,
-    png_decode_findings,
-    png_findings,
-    png_size_findings,
-    size_findings,
-)
-from eldata.manifest.pair_checks import RATIO_TOLERANCE, ratio_findings, white_remarks
-from eldata.manifest.patterns import expand, find_elsewhere, is_png, pattern_findings
-from eldata.manifest.table import number_text
-from eldata.manifest.verify_report import LEVELS, DatasetReport, VerifyReport, distinct, row_fault
+from eldata.manifest.file_checks import CheckedFile, check_file
+from eldata.manifest.pair_checks import clip_faults, pattern_faults, png_size_faults, ratio_faults, white_remarks
+from eldata.manifest.patterns import expand, find_elsewhere, is_png
+from eldata.manifest.verify_report import COPY_AGAIN, LEVELS, DatasetReport, VerifyReport, distinct, row_fault
 from eldata.raw.files import RAW_EXTENSIONS
-from eldata.raw.stated import StatedFile
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
-    from fractions import Fraction
 
-    from eldata.manifest.card import CameraCard
     from eldata.manifest.verify_report import FileRemark, Level, Problem
     from eldata.raw.levels import MeanLevels
-    from eldata.records import FrameRecord, RawHeader, Sensor
-
-_AGAIN = "copy or download it again"
-_PACK_AGAIN = "copy or make it again"
-_NO_EXIF = "the file has lost its EXIF: copy the original"
+    from eldata.records import FrameRecord
 
 
 def verify(
@@ -71,9 +57,9 @@ def verify(
     root
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
     cameras
-        Check just these cameras' files, if you have only part of a dataset.
+        Only these cameras' files are checked, for who has a part of a dataset.
     level
-        See the module's text.
+        How deep to look; see the module's text.
     workers
         Number of worker processes, or an executor that looks into the files (:mod:`eldata.base.workers`).
 
@@ -90,8 +76,7 @@ def verify(
     0
     """
     workers = Workers.of(workers)
-    if level not in LEVELS:
-        raise ArgumentError(f"level must be one of {', '.join(LEVELS)}; found {level!r}")
+    check_choice("level", level, LEVELS)
     chosen = list(find_manifests(manifests, root) if isinstance(manifests, (str, Path)) else manifests)
     known = sorted({camera for manifest in chosen for camera in manifest.card.cameras})
     for camera in cameras or ():
@@ -117,14 +102,13 @@ def _verify_dataset(
     needed = folder / tops.pop() if len(tops) == 1 else folder
     if not needed.is_dir():
         return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, ())
-    found, present, remarks, levels_dn = check_files(manifest, folder, records, level=level, workers=workers)
+    problems, present, remarks, levels_dn = check_files(manifest, folder, records, level=level, workers=workers)
     if level != "quick":
         files = FrameFiles.of(folder.absolute(), manifest.card, present)
         remarks += white_remarks(present, levels_dn, files, workers)
-    listed = expand(records, folder)
     hashed = sum(record.sha256 is not None for record in present) if level == "full" else 0
-    counts = len(listed), len(present), hashed
-    return DatasetReport(manifest.name, folder, False, manifest.card.homepage, *counts, found, remarks)
+    counts = len(expand(records, folder)), len(present), hashed
+    return DatasetReport(manifest.name, folder, False, manifest.card.homepage, *counts, problems, remarks)
 
 
 def check_files(
@@ -140,30 +124,32 @@ def check_files(
     The problems are in the order of paths. Levels are known of some files, and of none at level ``quick``.
     """
     listed = expand(records, folder)
-    present, findings = _check_presence(manifest, folder, listed)
-    findings += _check_unlisted(manifest, folder, listed)
-    of_clips = pattern_findings(records, folder)
+    present, problems = _check_presence(manifest, folder, listed)
+    problems += _check_unlisted(manifest, folder, listed)
+    problems += pattern_faults(records, folder)
     remarks: tuple[FileRemark, ...] = ()
     levels_dn: dict[str, MeanLevels | None] = {}
     if level != "quick":
         files = FrameFiles.of(folder.absolute(), manifest.card, present)
         work = partial(check_file, files, manifest.card.cameras, level)
-        outcomes = [
-            _unchecked(outcome) if isinstance(outcome, Failed) else outcome
-            for outcome in workers.attempt(work, present, label=f"{manifest.name} ({level})")
-        ]
-        findings += [finding for outcome in outcomes for finding in outcome.findings]
-        product_of = {record.path: one.product for record, one in zip(present, outcomes, strict=True)}
-        remarks = distinct((record.path, one.remarks) for record, one in zip(present, outcomes, strict=True))
-        levels_dn = {record.path: one.levels_dn for record, one in zip(present, outcomes, strict=True)}
-        findings += ratio_findings(present, product_of)
-        of_clips += png_size_findings(folder, present)
-        of_clips += exposure_findings(present, product_of, RATIO_TOLERANCE)
-    findings = sorted([*findings, *of_clips], key=lambda finding: finding.path)
-    return tuple(finding.of(manifest.name) for finding in findings), tuple(present), remarks, levels_dn
+        outcomes = workers.attempt(work, present, label=f"{manifest.name} ({level})")
+        checked = {record.path: _as_checked(outcome) for record, outcome in zip(present, outcomes, strict=True)}
+        problems += [problem for outcome in checked.values() for problem in outcome.problems]
+        product_of = {path: outcome.product for path, outcome in checked.items()}
+        remarks = distinct((path, outcome.remarks) for path, outcome in checked.items())
+        levels_dn = {path: outcome.levels_dn for path, outcome in checked.items()}
+        problems += ratio_faults(present, product_of)
+        problems += png_size_faults(folder, present)
+        problems += clip_faults(present, product_of)
+    ordered = sorted(problems, key=lambda problem: problem.path)
+    return tuple(problem.of(manifest.name) for problem in ordered), tuple(present), remarks, levels_dn
 
 
-# --- quick ----------------------------------------------------------------------------------------------------
+def _as_checked(outcome: CheckedFile | Failed[FrameRecord]) -> CheckedFile:
+    if not isinstance(outcome, Failed):
+        return outcome
+    advice = "make it readable where the check runs, and check again"
+    return CheckedFile([row_fault(outcome.unit.path, "check", "a finished check", outcome.reason, advice)])
 
 
 def _check_presence(
@@ -171,7 +157,7 @@ def _check_presence(
 ) -> tuple[list[FrameRecord], list[Problem]]:
     """Return the records whose files can be looked into, and what is wrong with the rest."""
     present: list[FrameRecord] = []
-    findings: list[Problem] = []
+    problems: list[Problem] = []
     missing: dict[str, list[FrameRecord]] = defaultdict(list)
     for record in records:
         try:
@@ -179,7 +165,7 @@ def _check_presence(
             size = path.stat().st_size if path.is_file() else None
         except ManifestError as error:
             expected = "a file below the dataset's folder"
-            findings.append(row_fault(record.path, "path", expected, "a link outside", str(error)))
+            problems.append(row_fault(record.path, "path", expected, "a link outside", str(error)))
             continue
         if size is None:
             # One line for a whole missing folder, the topmost one that is missing.
@@ -189,38 +175,35 @@ def _check_presence(
             continue
         if size == 0 or size != (record.size_bytes or size):
             expected = "more than 0 bytes" if record.size_bytes is None else f"{record.size_bytes} bytes"
-            findings.append(row_fault(record.path, "size_bytes", expected, f"{size} bytes", _AGAIN))
+            problems.append(row_fault(record.path, "size_bytes", expected, f"{size} bytes", COPY_AGAIN))
         if size > 0:
             present.append(record)
     elsewhere = find_elsewhere(folder, (lost[0].path for top, lost in missing.items() if top != lost[0].path))
-    findings += [_missing(manifest, folder, top, lost, elsewhere) for top, lost in missing.items()]
-    return present, findings
+    problems += [_missing(manifest, folder, top, lost, elsewhere) for top, lost in missing.items()]
+    return present, problems
 
 
 def _missing(
-    manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord], elsewhere: Mapping[str, str]
+    manifest: Manifest, folder: Path, top: str, lost: Sequence[FrameRecord], elsewhere: Mapping[str, str]
 ) -> Problem:
-    path = folder / top
+    """Return the problem that rows have no file, or no folder ``top``."""
+    path, other = folder / top, elsewhere.get(lost[0].path)
     if top == lost[0].path:
-        like = [
-            other.name
-            for other in visible_below(path.parent, deep=False)
-            if other.name.casefold() == path.name.casefold()
-        ]
-        found, advice = "nothing", _AGAIN
+        beside = visible_below(path.parent, deep=False)
+        alike = [other.name for other in beside if other.name.casefold() == path.name.casefold()]
+        found, advice = "nothing", COPY_AGAIN
         if path.is_dir():
             found, advice = "a folder", "move it away and copy the file"
-        elif like:
-            found, advice = f"only {like[0]}", f"rename it to {path.name}"
+        elif alike:
+            found, advice = f"only {alike[0]}", f"rename it to {path.name}"
         return row_fault(top, "file", "a file", found, advice)
-    other = elsewhere.get(lost[0].path)
     if other is not None:
         found, advice = f"{lost[0].path} in another place, {other}", "move it, and the others, to where they are listed"
-        return row_fault(f"{top}/", "folder", f"{len(lost)} files", found, advice)
-    advice = "unpack it there"
-    if len(manifest.card.cameras) > 1 and len({record.camera for record in lost}) == 1:
-        advice += f", or check the cameras you have with --camera (this is {lost[0].camera})"
-    return row_fault(f"{top}/", "folder", f"{len(lost)} files", "no such folder", advice)
+    else:
+        found, advice = "no such folder", "unpack it there"
+        if len(manifest.card.cameras) > 1 and len({record.camera for record in lost}) == 1:
+            advice += f", or check the cameras you have with --camera (this is {lost[0].camera})"
+    return row_fault(f"{top}/", "folder", f"{len(lost)} files", found, advice)
 
 
 def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[Problem]:
@@ -229,167 +212,30 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
     Another form of a listed shot, such as the DNG made of a raw file, is no sign of other frames.
     """
     every = expand(manifest.records, folder)
-    listed = {record.path for record in every}
-    # There may be other pictures of the scene beside references (DRV), but not beside noisy PNG frames.
-    pictured = {
-        Path(record.path).parent.as_posix() for record in every if record.role == "noisy" and is_png(record.path)
-    }
-    raw = {Path(path).parent.as_posix() for path in listed if Path(path).suffix.lower() in RAW_EXTENSIONS}
-    shots, spelled = {_shot(path) for path in listed}, {path.casefold(): path for path in listed}
-    findings = []
-    count_in = Counter(Path(path).parent.as_posix() for path in listed)
-    for parent in sorted({Path(record.path).parent.as_posix() for record in records}):
-        kinds = (RAW_EXTENSIONS if parent in raw else frozenset()) | ({".png"} if parent in pictured else frozenset())
+    count_in = Counter(_parent(record.path) for record in every)
+    kinds: dict[str, frozenset[str]] = defaultdict(frozenset)
+    for record in every:
+        if Path(record.path).suffix.lower() in RAW_EXTENSIONS:
+            kinds[_parent(record.path)] |= RAW_EXTENSIONS
+        elif is_png(record.path) and record.role == "noisy":  # beside references may lie other pictures (DRV)
+            kinds[_parent(record.path)] |= {".png"}
+    shots, spelled = {_shot(record.path) for record in every}, {record.path.casefold(): record.path for record in every}
+    problems = []
+    for parent in sorted({_parent(record.path) for record in records}):
         files = visible_below(folder / parent, deep=False)
-        raws = [path.relative_to(folder).as_posix() for path in files if path.suffix.lower() in kinds]
-        for path in raws:
-            like = spelled.get(path.casefold())  # if that is missing, so it is reported, with what to do
-            if path != like and (_shot(path) not in shots if like is None else (folder / like).exists()):
+        alike = [path.relative_to(folder).as_posix() for path in files if path.suffix.lower() in kinds[parent]]
+        for path in alike:
+            listed = spelled.get(path.casefold())  # if that is missing, so it is reported, with what to do
+            if path != listed and (_shot(path) not in shots if listed is None else (folder / listed).exists()):
                 expected = f"the {count_in[parent]} listed raw files in this folder"
                 advice = "move it away, and make sure that the others were not renumbered"
-                findings.append(row_fault(path, "file", expected, f"{len(raws)} raw files, this one unlisted", advice))
-    return findings
+                problems.append(row_fault(path, "file", expected, f"{len(alike)} raw files, this one unlisted", advice))
+    return problems
+
+
+def _parent(path: str) -> str:
+    return path.rpartition("/")[0] or "."
 
 
 def _shot(path: str) -> str:
     return Path(path).with_suffix("").as_posix().casefold()
-
-
-# --- metadata and full ----------------------------------------------------------------------------------------
-
-
-class CheckedFile(NamedTuple):
-    """What is wrong with a file, its ISO times its exposure time, if it states both, remarks on it, its levels."""
-
-    findings: list[Problem]
-    product: Fraction | None = None
-    remarks: tuple[str, ...] = ()
-    levels_dn: MeanLevels | None = None
-
-
-# With a finding in one of these fields the whole file is wrong: its bytes are not checked further.
-_OF_CONTENT = ("content", "width", "height")
-
-
-def _unchecked(failed: Failed[FrameRecord]) -> CheckedFile:
-    advice = "make it readable where the check runs, and check again"
-    return CheckedFile([row_fault(failed.unit.path, "check", "a finished check", failed.reason, advice)])
-
-
-def check_file(files: FrameFiles, cameras: Mapping[str, CameraCard], level: Level, record: FrameRecord) -> CheckedFile:
-    """Look into one file of a set whose cameras these are."""
-    folder, file = files.folder, files.at(record.path)
-    path = folder / record.path
-    require_files(path)
-    if isinstance(file, StatedFile):
-        outcome = _stated_findings(file, record, decode=level == "full")  # no hash is of what the card states
-    elif path.suffix == ".npy":
-        outcome = CheckedFile(_packed_findings(path, record))
-    elif is_png(record.path):
-        outcome = CheckedFile(png_findings(folder, record))
-    else:
-        decode = level == "full" and record.sha256 is None
-        outcome = _raw_findings(path, record, cameras[record.camera].models, decode=decode)
-    findings = outcome.findings
-    if level == "full" and not any(finding.field in _OF_CONTENT for finding in findings):
-        if record.sha256 is not None:
-            findings += _hash_findings(path, record)
-        elif is_png(record.path):
-            findings += png_decode_findings(folder, record)
-    return outcome
-
-
-def _unreadable(record: FrameRecord, error: RawFileError, expected: str = "a whole raw file") -> Problem:
-    if isinstance(error, UnusableRawError):
-        return row_fault(record.path, "content", "a raw file that can be used", error.found, error.advice)
-    return row_fault(record.path, "content", expected, error.reason.removesuffix(f"; {_AGAIN}"), _AGAIN)
-
-
-def _decoded_findings(record: FrameRecord, decoded: Sensor | RawFileError | None) -> list[Problem]:
-    if isinstance(decoded, RawFileError):
-        return [_unreadable(record, decoded, "a raw file that decodes")]
-    if decoded is None:
-        return []
-    advice = "this file was taken in another mode or by another camera"
-    return size_findings(record, decoded.width, decoded.height, advice)
-
-
-def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, decode: bool) -> CheckedFile:
-    """Compare a raw file with its row and, if its hash is not known, decode it."""
-    from eldata.raw.reading import raw_facts
-
-    try:
-        header, decoded = raw_facts(path, decode=decode)
-    except RawFileError as error:
-        return CheckedFile([_unreadable(record, error)])
-    findings, product = header_findings(header, record, models)
-    return CheckedFile([*findings, *_decoded_findings(record, decoded)], product, header.remarks, header.levels_dn)
-
-
-def _stated_findings(file: StatedFile, record: FrameRecord, *, decode: bool) -> CheckedFile:
-    """Look into a mosaic without levels of its own; of its exposure no more is known than its row states."""
-    iso, exposure_s = record.iso, record.exposure_s
-    product = None if iso is None or exposure_s is None else iso * exposure_s
-    try:
-        file.check()
-        frame = file.read() if decode else None
-    except RawFileError as error:
-        return CheckedFile([_unreadable(record, error, "a mosaic as its card states it")])
-    findings = _decoded_findings(record, None if frame is None else frame.sensor)
-    return CheckedFile(findings, product, () if frame is None else frame.remarks, file.header.levels_dn)
-
-
-def header_findings(
-    header: RawHeader, record: FrameRecord, models: Sequence[str]
-) -> tuple[list[Problem], Fraction | None]:
-    """Compare a raw file's camera, ISO and exposure time with its row; return their product too, if it states both."""
-    findings = []
-    if not models:
-        pass  # no public text says how the camera names itself
-    elif not header.model and "" not in models:  # which a card lists for files whose camera does not name itself
-        findings.append(row_fault(record.path, "camera", " or ".join(models), "no camera model", _NO_EXIF))
-    elif header.model.casefold() not in {model.casefold() for model in models}:
-        advice = "this file was taken by another camera"
-        findings.append(row_fault(record.path, "camera", " or ".join(models), header.model, advice))
-    iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
-    if iso is None or exposure_s is None:
-        lost = "ISO" if iso is None else "exposure time"
-        return [*findings, row_fault(record.path, "exposure", "ISO and exposure time", f"no {lost}", _NO_EXIF)], None
-    advice = "is this the frame that its name says? look for shifted numbering and swapped files"
-    findings += [
-        row_fault(record.path, field, number_text(expected), number_text(found), advice)
-        for field, expected, found in (("iso", record.iso, iso), ("exposure_s", record.exposure_s, exposure_s))
-        if expected is not None and abs(found - expected) > RATIO_TOLERANCE * expected
-    ]
-    return findings, iso * exposure_s
-
-
-def _hash_findings(path: Path, record: FrameRecord) -> list[Problem]:
-    try:
-        digest = sha256_of(path)
-    except OSError as error:
-        digest = f"unreadable: {error.strerror}"
-    if digest == record.sha256:
-        return []
-    advice = _PACK_AGAIN if path.suffix == ".npy" else f"the file is damaged or another: {_AGAIN}"
-    return [row_fault(record.path, "sha256", record.sha256 or "", digest, advice)]
-
-
-def _packed_findings(path: Path, record: FrameRecord) -> list[Problem]:
-    """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
-    from eldata.base.arrays import NpyError, read_npy_header
-
-    problem = file_problem(path)
-    if problem is not None:
-        return [row_fault(record.path, "content", "packed float32 (C, h, w)", problem, _PACK_AGAIN)]
-    try:
-        with path.open("rb") as file:
-            header = read_npy_header(file)
-            held = path.stat().st_size - file.tell()
-        found = f"{header.values} {header.shape}"
-        good = len(header.shape) == 3 and header.values == "float32"
-        if good and held != header.value_bytes:
-            found, good = f"{found} of {header.value_bytes} bytes, and {held} are there", False
-    except (OSError, NpyError) as error:
-        found, good = str(error), False
-    return [] if good else [row_fault(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]

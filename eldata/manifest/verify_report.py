@@ -1,4 +1,4 @@
-"""What verifying files finds: records of problems, by data set, and their text."""
+"""The results of verifying: problems and remarks by dataset, and their text."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 Level = Literal["quick", "metadata", "full"]
 LEVELS: tuple[Level, ...] = get_args(Level)
+
+COPY_AGAIN = "copy or download it again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +53,7 @@ row_fault = partial(Problem, "")
 
 @dataclass(frozen=True, slots=True)
 class FileRemark:
-    """What should be known of some files but is not a problem: the words for the first of them, and how many."""
+    """A remark on some files that is no problem: its text for the first file, and their number."""
 
     path: str
     files: int
@@ -67,7 +69,7 @@ class FileRemark:
 
 
 def distinct(remarks: Iterable[tuple[str, tuple[str, ...]]]) -> tuple[FileRemark, ...]:
-    """Return each remark once, given those of each file by path; those that differ in their figures alone are alike."""
+    """Return each remark once, given every file's by path; remarks that differ only in their figures are alike."""
     alike: dict[str, list[tuple[str, str]]] = {}
     for path, texts in remarks:
         for text in texts:
@@ -80,7 +82,7 @@ _FIGURE = re.compile(r"(?<!\w)-?[0-9]+(\.[0-9]+)?")
 
 @dataclass(frozen=True, slots=True)
 class DatasetReport:
-    """What was found of one dataset. ``absent``: its folder is not there, and nothing was checked."""
+    """The report on one dataset. ``absent``: its folder is missing, and nothing was checked."""
 
     dataset: str
     folder: Path
@@ -121,24 +123,21 @@ class VerifyReport:
         Settings that are off by the same factor in many files, such as every exposure by 20 %, are one problem and a
         count; :attr:`problems` has each.
         """
-        lines = [_of_several(alike) for alike in _alike(self.problems)]
+        lines = _format_problems(self.problems)
         lines += [str(remark) for dataset in self.datasets for remark in dataset.remarks]
         for dataset in self.datasets:
+            name, folder = dataset.dataset, dataset.folder
             if dataset.absent:
-                lines.append(
-                    f"{dataset.dataset}: absent (no folder {dataset.folder}); where to get it: {dataset.homepage}"
-                )
+                lines.append(f"{name}: absent (no folder {folder}); where to get it: {dataset.homepage}")
                 continue
-            count = len(dataset.problems)
-            verdict = "all well" if not count else counted(count, "problem")
-            lines.append(
-                f"{dataset.dataset}: {dataset.files_checked} of {dataset.files_listed} files checked ({self.level}) in "
-                f"{dataset.folder}: {verdict}"
-            )
-            if self.level == "full" and dataset.files_hashed < dataset.files_checked:
+            verdict = counted(len(dataset.problems), "problem") if dataset.problems else "all well"
+            checked = f"{dataset.files_checked} of {dataset.files_listed} files checked ({self.level})"
+            lines.append(f"{name}: {checked} in {folder}: {verdict}")
+            unhashed = dataset.files_checked - dataset.files_hashed
+            if self.level == "full" and unhashed:
                 lines.append(
-                    f"    {dataset.files_checked - dataset.files_hashed} files have no recorded hash and were decoded "
-                    "instead; eldata lock records hashes from a copy that you trust"
+                    f"    {unhashed} files have no recorded hash and were decoded instead; eldata lock records hashes "
+                    "from a copy that you trust"
                 )
         if all(dataset.absent for dataset in self.datasets):
             lines.append("nothing was verified; --root names the folder that holds the datasets")
@@ -148,22 +147,28 @@ class VerifyReport:
 _MANY = 8  # files with the same wrong setting are one problem in the text
 
 
-def _alike(problems: Sequence[Problem]) -> list[list[Problem]]:
-    """Return problems in their order, those of many files together whose setting is off by the same factor."""
+def _format_problems(problems: Sequence[Problem]) -> list[str]:
+    """Format problems in their order; many files whose setting is off by the same factor are one."""
     groups: dict[object, list[Problem]] = {}
     for problem in problems:
-        factor = _factor(problem)
-        key = problem if factor is None else (problem.dataset, problem.field, problem.advice, factor)
+        percent = _percent_of_expected(problem)
+        key = problem if percent is None else (problem.dataset, problem.field, problem.advice, percent)
         groups.setdefault(key, []).append(problem)
-    found: list[list[Problem]] = []
+    texts: dict[Problem, str] = {}
     for alike in groups.values():
-        found += [alike] if len(alike) >= _MANY else [[one] for one in alike]
-    place = {problem: index for index, problem in enumerate(problems)}
-    return sorted(found, key=lambda alike: place[alike[0]])
+        texts.update((problem, problem.format_text()) for problem in alike)
+        if len(alike) >= _MANY:
+            first = alike[0]
+            many = f"{first.path} and {len(alike) - 1} others alike"
+            share = (
+                f"{first.found} there; in all {len(alike)} files {_percent_of_expected(first)} % of what is expected"
+            )
+            texts |= dict.fromkeys(alike, "") | {first: replace(first, path=many, found=share).format_text()}
+    return [texts[problem] for problem in problems if texts[problem]]
 
 
-def _factor(problem: Problem) -> int | None:
-    """Return by how much a number is off what was expected, in percent; ``None`` if it is not about a number."""
+def _percent_of_expected(problem: Problem) -> int | None:
+    """Return a number in percent of the expected one; ``None`` if the problem is not about a number."""
     if problem.field not in ("iso", "exposure_s", "ratio"):
         return None
     try:
@@ -171,12 +176,3 @@ def _factor(problem: Problem) -> int | None:
     except ArgumentError:
         return None
     return round(100 * found / expected)
-
-
-def _of_several(alike: Sequence[Problem]) -> str:
-    first = alike[0]
-    if len(alike) == 1:
-        return first.format_text()
-    many = f"{first.path} and {len(alike) - 1} others alike"
-    share = f"{first.found} there; in all {len(alike)} files {_factor(first)} % of what is expected"
-    return replace(first, path=many, found=share).format_text()

@@ -25,7 +25,7 @@ from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.request import SETTINGS
 from eldata.manifest.clips import Clip
-from eldata.manifest.drv import scan_raw
+from eldata.manifest.layouts import scan_raw
 from tests.cases import in_one_test
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 

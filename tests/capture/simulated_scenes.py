@@ -13,8 +13,8 @@ from scipy import ndimage
 from eldata.demo.camera import BASE_ISO, CAMERAS, SimulatedCamera
 from eldata.demo.scenes import scene_radiance
 from eldata.demo.tree import demo_card
-from eldata.manifest.eld import EldCamera, eld_records
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.catalogue import save_manifest
+from eldata.manifest.layouts import EldCamera, eld_records
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 

@@ -14,7 +14,7 @@ import pytest
 from eldata.base.arrays import rgb_frame
 from eldata.datasets.published import DRVDataset
 from eldata.evaluation import evaluate, load_result, save_clip_prediction
-from eldata.manifest.drv import scan_raw
+from eldata.manifest.layouts import scan_raw
 from eldata.manifest.table import save_records
 from eldata.protocols.kinds import CLIPS
 from tests.drv_tree import SmallDrv, generator_of, small_drv, still_of, write_raw_clip

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.manifest.catalogue import ENTRY_POINTS, load_manifest, shipped_manifest
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.catalogue import ENTRY_POINTS, load_manifest, save_manifest, shipped_manifest
 from tests.trees import build_published_tree
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ import pytest
 
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import load_manifest
-from eldata.manifest.eld import EldCamera, eld_records
+from eldata.manifest.layouts import EldCamera, eld_records
 from eldata.manifest.table import save_records
 from tests.evaluation.helpers import Tree
 from tests.waiting import PATIENCE_S, until

@@ -15,7 +15,7 @@ from eldata.datasets import CRVDDataset, PairDataset
 from eldata.errors import ArgumentError, ManifestError
 from eldata.evaluation.score import cut_to_dn
 from eldata.manifest import shipped_manifest, verify
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.catalogue import save_manifest
 from eldata.protocols import get_protocol
 from eldata.records import Sensor
 from tests.crvd_tree import build_crvd_tree

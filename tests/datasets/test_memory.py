@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from eldata.manifest.catalogue import save_manifest
 from eldata.manifest.own import sort_own_set
-from eldata.manifest.writing import save_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
 from tests.waiting import PATIENCE_S

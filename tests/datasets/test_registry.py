@@ -16,7 +16,7 @@ from torch.utils.data import Subset as Some
 from eldata.datasets import PairDataset, dataset_class, dataset_names, open_dataset, published
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import ENTRY_POINTS, Manifest, shipped_manifest, shipped_names
-from eldata.manifest.pairs import select_pairs, unpaired
+from eldata.manifest.pairs import Choice, unpaired
 from eldata.manifest.verify import verify
 from tests.crvd_tree import build_crvd_tree
 from tests.datasets.comparing import same
@@ -166,7 +166,7 @@ def test_the_counts_are_the_manifests(name: str) -> None:
         if alone and any(record.ratio for record in alone):  # a benchmark's noisy frames
             assert len(alone) == subset.pairs
         elif any(record.ratio for record in manifest.records):
-            assert len(select_pairs(manifest.records, manifest.card.subsets, subset=subset.name)) == subset.pairs
+            assert len(Choice(subset=subset.name).pairs(manifest.records, manifest.card.subsets)) == subset.pairs
         else:  # a row stands for a clip: it has no ratio, which a pair has
             noisy = [record for record in manifest.records if record.role == "noisy" and record.split in subset.splits]
             assert len({record.scene for record in noisy}) == subset.pairs

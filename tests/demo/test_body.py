@@ -48,14 +48,6 @@ def test_the_quantile_is_scipys(shape: float) -> None:
     )
 
 
-@in_one_test("shape", [-0.2, 0.0, 0.2])
-def test_the_ends_of_the_generator_are_finite(shape: float) -> None:
-    u = np.array([0.0, 1 - 2.0**-53])
-    low, high = tukey_lambda_values(u, shape)
-    assert -1e5 < low < high < 1e5
-    assert u[0] == 0  # the argument is left alone
-
-
 @in_one_test("shape", [-0.24, 0.0, 0.14])
 def test_whole_dn_and_tails_of_bias_frames(shape: float) -> None:
     """Four frames of 0.4 megapixels: the share up to each DN, to one in ten thousand, within 5 standard errors."""
@@ -69,14 +61,6 @@ def test_whole_dn_and_tails_of_bias_frames(shape: float) -> None:
         expected = float(truth.cdf(edge + 0.5))
         error = math.sqrt(expected * (1 - expected) / values.size)
         assert abs(float((values <= edge).mean()) - expected) < 5 * error
-
-
-def test_sigma_gauss_is_the_deviation() -> None:
-    for shape in (-0.2, 0.0, 0.1):
-        noise = replace(NOISE, tukey_lambda=shape, sigma_row_dn=0.0)
-        u = (np.arange(2_000_000) + 0.5) / 2_000_000
-        assert noise.sigma_gauss_dn == pytest.approx(2 * float(tukey_lambda_values(u, shape).std()), rel=1e-3)
-    assert replace(NOISE, tukey_lambda=0.0).sigma_gauss_dn == pytest.approx(2 * math.pi / math.sqrt(3))
 
 
 # --- light ----------------------------------------------------------------------------------------------------------
@@ -114,28 +98,6 @@ def test_mean_and_variance_of_flats(sensor: Sensor, gain: float, level: float) -
         assert abs(values.var() - pixel - 0.25) < 5 * error < 0.1 * pixel
 
 
-@in_one_test("cfa", BAYER_PHASES)
-def test_any_phase(cfa: tuple[tuple[int, ...], ...]) -> None:
-    """Without noise a frame is the channels' levels, wherever the pattern puts them."""
-    noise = replace(SILENT, colour_bias_dn=(10.0, 20.0, 30.0, 40.0))
-    frame = body(replace(BAYER, cfa=cfa)).bias_frame(noise, rng(0))
-    levels = np.array([522, 533, 540, 552])
-    np.testing.assert_array_equal(frame, np.tile(levels[np.array(cfa)], (256, 384)))
-
-
-def test_drift_and_fall_off() -> None:
-    """0.4 megapixels of 8000 electrons: the mean to 1e-4; the corners have 1 - vignetting."""
-    one = body(features=FixedFeatures(vignetting=0.4))
-    noise = replace(SILENT, gain_dn_per_e=1.0)
-    still, drifted = (one.flat_frame(noise, 8000.0, rng(5), drift) for drift in (0.0, 0.1))
-    black = float(np.mean(BAYER.black_level_dn))
-    assert (drifted.mean() - black) / (still.mean() - black) == pytest.approx(1.1, rel=5 * math.sqrt(2 / 8000 / 393216))
-    assert float(one.light[0, 0]) == pytest.approx(0.6)
-    assert float(one.light.max()) == pytest.approx(1, abs=1e-4)
-    corner = still[:16, :16].astype(np.float64).mean() - black
-    assert corner == pytest.approx(8000 * one.light[:16, :16].mean(), abs=5 * math.sqrt(8000 / 256))
-
-
 # --- rows -----------------------------------------------------------------------------------------------------------
 
 
@@ -156,15 +118,6 @@ def test_a_mosaic_row_shares_one_normal_draw(sensor: Sensor) -> None:
 
 
 # --- what stays -----------------------------------------------------------------------------------------------------
-
-
-def test_zeros_switch_everything_off() -> None:
-    one = body()
-    assert (one.response == 1).all()
-    assert (one.light == 1).all()
-    assert not one.pattern_dn.any()
-    assert not one.hot.any()
-    assert one.colour_bias_dn(NOISE) == NOISE.colour_bias_dn
 
 
 def test_the_pattern_has_the_features_strength() -> None:

@@ -126,14 +126,6 @@ def test_the_table_of_errors_is_found_less_true(demo: tuple[Path, Calibration, s
         assert float(row[6]) == pytest.approx(largest, abs=6e-4)
 
 
-def test_the_table_without_gains(demo: tuple[Path, Calibration, str]) -> None:
-    folder, found, _ = demo
-    without = replace(found, isos=(replace(found.isos[0], transfer=None), *found.isos[1:]))
-    _, _, first, second, _ = cells(against_truth(without, truth_of(folder)))
-    assert first[1] == "-"
-    assert second[1] != "-"
-
-
 OFF = {
     "shading": {"bias_shading_dn": 0.0, "vignetting": 0.0},
     "hot-pixels": {"hot_share": 0.0},
@@ -154,15 +146,6 @@ def test_without(without: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert asked == [replace(DEMO_FEATURES, **off)]
     if len(without) == len(OFF):
         assert asked == [FixedFeatures()]
-
-
-def test_through_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "x"
-    arguments = ["demo", str(folder), "--calibration", "--without", "hot-pixels", "--seed", "3", "--jobs", "1"]
-    assert main(arguments) == 0
-    truth = truth_of(folder)
-    assert (truth["seed"], truth["features"]["hot_share"], truth["features"]["prnu"]) == (3, 0.0, 0.008)
-    assert "found - true" in capsys.readouterr().out
 
 
 def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from eldata.base.workers import Workers
 from eldata.demo.body import Body, FixedFeatures
 from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
 from eldata.errors import ArgumentError
@@ -17,7 +16,6 @@ from eldata.manifest import verify
 from eldata.manifest.catalogue import load_manifest
 from eldata.raw.reading import read_raw
 from tests.calibration import draws
-from tests.demo.test_tree import digests
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -43,23 +41,6 @@ def truth(made: tuple[Path, Manifest]) -> dict[str, Any]:
 
 
 # --- files ----------------------------------------------------------------------------------------------------------
-
-
-def test_the_layout_and_numbers_of_one_card(made: tuple[Path, Manifest]) -> None:
-    """Nine frames an ISO; numbers run through: all bias frames, then all flats."""
-    folder = made[0] / "data" / "calibration" / "DemoGamma"
-    names = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
-    expected: list[str] = []
-    for role, count in (("bias", 3), ("flat", 6)):
-        for iso in ISOS:
-            expected += [f"{role}/ISO{iso}/IMG_{len(expected) + i:04d}.dng" for i in range(1, count + 1)]
-    assert sorted(names) == sorted(expected)
-    everything = {path.relative_to(made[0]).as_posix() for path in made[0].rglob("*") if path.is_file()}
-    assert {name for name in everything if not name.startswith("data/calibration/DemoGamma/")} == {
-        "manifests/calibration-demo.csv",
-        "manifests/calibration-demo.json",
-        "truth.json",
-    }
 
 
 def test_the_manifest(made: tuple[Path, Manifest]) -> None:
@@ -94,15 +75,6 @@ def exposures(manifest: Manifest, role: str, iso: int) -> list[Fraction]:
     return [record.exposure_s for record in chosen if record.exposure_s is not None]
 
 
-def test_bias_frames_are_short_and_flats_come_in_pairs(made: tuple[Path, Manifest]) -> None:
-    for iso in ISOS:
-        assert exposures(made[1], "bias", iso) == [Fraction(1, 8000)] * 3
-        times = exposures(made[1], "flat", iso)
-        assert times[::2] == times[1::2] == sorted(set(times))
-    assert exposures(made[1], "flat", 100)[::2] == [Fraction(1, 10), Fraction(2, 5), Fraction(8, 5)]
-    assert exposures(made[1], "flat", 800)[::2] == [Fraction(1, 80), Fraction(1, 20), Fraction(1, 5)]
-
-
 @pytest.mark.parametrize("levels", [2, 13])
 def test_levels_from_5_to_80_percent_under_one_lamp(levels: int, tmp_path: Path) -> None:
     """At every ISO that the camera knows; time x K in proportion to the level."""
@@ -121,13 +93,6 @@ def test_levels_from_5_to_80_percent_under_one_lamp(levels: int, tmp_path: Path)
         for flat in entry["flats"]:
             light = lamp * float(Fraction(flat["exposure_s"])) * entry["gain_dn_per_e"]
             assert flat["mean_level_dn"] == pytest.approx(light)
-
-
-def test_the_lamp_does_not_depend_on_the_chosen_isos(tmp_path: Path, truth: dict[str, Any]) -> None:
-    make_calibration_frames(tmp_path, **{**SMALL, "isos": (800,), "bias_frames": 1})
-    other = json.loads((tmp_path / "truth.json").read_text())
-    assert other["lamp_e_per_s"] == truth["lamp_e_per_s"]
-    assert other["isos"][0] == truth["isos"][1]
 
 
 def test_frames_have_the_level_and_noise_that_the_truth_says(tmp_path: Path) -> None:
@@ -176,21 +141,6 @@ def test_the_truth_is_complete(truth: dict[str, Any]) -> None:
 
 
 # --- seeds and jobs ---------------------------------------------------------------------------------------------------
-
-
-def test_any_number_of_jobs_gives_the_same_bytes(made: tuple[Path, Manifest], tmp_path: Path) -> None:
-    make_calibration_frames(tmp_path, **SMALL, workers=Workers(2))
-    assert digests(tmp_path) == digests(made[0])
-    assert len(digests(tmp_path)) == 21
-
-
-def test_another_seed_is_another_specimen(made: tuple[Path, Manifest], tmp_path: Path) -> None:
-    make_calibration_frames(tmp_path, **SMALL, seed=1)
-    here, there = digests(tmp_path), digests(made[0])
-    assert {name for name in here if here[name] == there[name]} == {
-        "manifests/calibration-demo.csv",
-        "manifests/calibration-demo.json",
-    }
 
 
 # --- other cameras ----------------------------------------------------------------------------------------------------

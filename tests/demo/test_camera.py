@@ -98,10 +98,3 @@ def test_each_mosaic_row_has_one_draw_of_row_noise(camera: SimulatedCamera) -> N
     assert abs(np.corrcoef(means[:-1], means[1:])[0, 1]) < 5 / np.sqrt(rows)
     columns_variance = mosaic.mean(axis=0).var()
     assert columns_variance == pytest.approx(pixel / rows, rel=0.4)  # and none of columns
-
-
-def test_light_beyond_the_range_is_white_and_whole_dn() -> None:
-    shot = BETA.with_size(64, 64)
-    mosaic = shot.photograph(np.ones((3, 64, 64), np.float32), Fraction(10), 100, np.random.default_rng(0))
-    assert mosaic.dtype == np.uint16
-    assert (mosaic == BETA.sensor.white_level_dn).all()

@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,14 +15,11 @@ import pytest
 
 from eldata.base.files import try_lock
 from eldata.download.fetching import RangeDownloader, archive_name
-from eldata.download.installing import fetch_dataset
 from eldata.errors import DownloadError
-from eldata.manifest.card import Download
-from eldata.manifest.catalogue import ROOT_VARIABLE, shipped_manifest, shipped_names
+from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from tests.cases import in_one_test
 from tests.download import server
-from tests.download.helpers import HASTY, contents, fetch, make_shelf, noise, note_of, tree, zipped
-from tests.syncing import OnDisk
+from tests.download.helpers import HASTY, contents, fetch, noise, note_of, tree, zipped
 from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
@@ -79,14 +75,6 @@ def test_a_broken_download_goes_on(site: server.Site, target: Path) -> None:
     assert site.ranges == [None, *(f"bytes={16_384 * n}-" for n in range(1, 9))]
     assert {request.get("if-range") for request in site.requests[1:]} == {'"one"'}
     assert {request["accept-encoding"] for request in site.requests} == {"identity"}
-
-
-def test_an_archive_is_on_the_disk_before_it_gets_its_name(
-    site: server.Site, target: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    disk = OnDisk(monkeypatch)
-    fetched(site, target)
-    assert list(disk.named.values()) == [True]
 
 
 def test_what_is_there_is_not_fetched_again(site: server.Site, target: Path) -> None:
@@ -155,6 +143,7 @@ def test_what_is_put_up_with(
     ("behaviour", "requests", "words"),
     [
         (server.status(503), 3, ["503", "gave up after 3 tries"]),
+        (server.status(404), 1, ["answered 404", "homepage", "--from"]),
         (server.without_ranges(32_768), 4, ["gave up after 3 tries"]),  # each brings 30 kB, and yet nothing new
         (server.claiming(1), 4, ["gave up"]),
         (server.page, 1, ["no archive, but b'<!DOCTYPE html>", "in a browser", "--from"]),
@@ -187,13 +176,6 @@ def test_no_server_and_no_archive(site: server.Site, target: Path) -> None:
     assert part_of(target).stat().st_size == 0
     site.address = "http://127.0.0.1:1/set.zip"
     refused(site, target, "Connection refused", "gave up")
-
-
-@pytest.mark.parametrize("code", [401, 404])
-def test_errors_that_stay(code: int, site: server.Site, target: Path) -> None:
-    site.then(server.breaking_after(16_384), server.status(code))
-    refused(site, target, f"answered {code}", "homepage", "--from")
-    assert part_of(target).read_bytes() == CONTENT[:16_384]
 
 
 # --- versions and lies ------------------------------------------------------------------------------------------------
@@ -279,18 +261,8 @@ def test_plain_http_is_refused(address: str, target: Path) -> None:
 def test_an_address_without_an_archives_name(tmp_path: Path) -> None:
     for name in shipped_names():
         assert all(archive_name(one.address) for one in shipped_manifest(name).card.downloads if one.direct)
-    download = Download("https://example.org/download?id=5", direct=True)
     with pytest.raises(DownloadError, match=r"id=5: does not end in the name of an archive .* use --from"):
-        fetch_dataset(download, make_shelf(tmp_path, download).manifest, tmp_path)
-
-
-def test_the_folder_is_below_the_data_root(site: server.Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    site.content = CONTENT
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv(ROOT_VARIABLE, "~/large")  # a folder of this name: pooch would take it for one of the home's
-    shelf = make_shelf(tmp_path / "shelf", Download(site.address, direct=True))
-    fetch_dataset(shelf.manifest.card.downloads[0], shelf.manifest, None, HASTY)
-    assert (tmp_path / "~" / "large" / "archives" / "set.zip").read_bytes() == CONTENT
+        fetch("https://example.org/download?id=5", tmp_path / "archives" / "set.zip")
 
 
 # --- the disk ---------------------------------------------------------------------------------------------------------
@@ -314,12 +286,6 @@ def test_a_disk_that_fills_up(site: server.Site, target: Path) -> None:
     site.requests.clear()
     fetched(site, target)
     assert site.ranges == ["bytes=50000-"]
-
-
-def test_a_folder_that_cannot_be_made(site: server.Site, tmp_path: Path) -> None:
-    (tmp_path / "archives").write_text("a file")
-    with pytest.raises(DownloadError, match=r"cannot keep .*archives/set\.zip: .*; the same command goes on"):
-        fetch(site.address, tmp_path / "archives" / "set.zip")
 
 
 def test_one_process_at_a_time(site: server.Site, target: Path) -> None:
@@ -369,24 +335,3 @@ def test_a_killed_run_is_gone_on_with(site: server.Site, target: Path) -> None:
     site.requests.clear()
     assert fetch(site.address, target).read_bytes() == site.content
     assert site.ranges == [f"bytes={have}-"]
-
-
-def test_ctrl_c_comes_through_and_keeps_what_has_come(
-    site: server.Site, target: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    site.then(server.breaking_after(16_384))
-    monkeypatch.setattr(time, "sleep", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        fetch(site.address, target)
-    assert part_of(target).read_bytes() == CONTENT[:16_384]
-
-
-def test_waits_double_up_to_a_limit(site: server.Site, target: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    waits: list[float] = []
-    monkeypatch.setattr(time, "sleep", waits.append)
-    site.then(server.status(503))
-    refused(site, target, downloader=replace(HASTY, tries=9, longest_wait_s=60.0))
-    assert waits == [1, 2, 4, 8, 16, 32, 60, 60]

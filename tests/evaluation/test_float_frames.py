@@ -18,8 +18,7 @@ from eldata.datasets import CleanFrames, PairDataset
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import EldataError
 from eldata.evaluation import evaluate
-from eldata.manifest.catalogue import load_manifest
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.catalogue import load_manifest, save_manifest
 from eldata.noise import CameraProfile
 from eldata.raw import read_raw
 from eldata.raw.stated import MosaicFacts

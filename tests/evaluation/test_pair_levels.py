@@ -24,10 +24,9 @@ from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.datasets import PairDataset
 from eldata.datasets.clips import ClipWindows
 from eldata.evaluation import scored_pairs
-from eldata.manifest.catalogue import FrameFiles
+from eldata.manifest.catalogue import FrameFiles, save_manifest
 from eldata.manifest.own import sort_own_set
 from eldata.manifest.pair_checks import white_remarks
-from eldata.manifest.writing import save_manifest
 from eldata.protocols import PROTOCOLS
 from eldata.raw import pack, read_raw, write_dng
 from eldata.raw.levels import differ_in_white, with_levels

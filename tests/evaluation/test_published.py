@@ -16,7 +16,7 @@ from eldata.evaluation.published import _NEAR, COLUMNS, NOISY_INPUT, comparison_
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import TableRow, UnitScore
 from eldata.manifest.catalogue import shipped_manifest
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.protocol import StatedProtocol
 
@@ -206,7 +206,7 @@ def pairs_of(dataset: str, protocol: str, subset: str | None) -> tuple[PairRecor
     """The shipped manifest's pairs of the Sony camera."""
     manifest, ratios = shipped_manifest(dataset), PROTOCOLS[protocol].ratios
     cameras = ["SonyA7S2"]
-    return select_pairs(manifest.records, manifest.card.subsets, ratios=ratios, subset=subset, cameras=cameras)
+    return Choice(ratios=ratios, subset=subset, cameras=cameras).pairs(manifest.records, manifest.card.subsets)
 
 
 def result_of(

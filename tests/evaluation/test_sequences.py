@@ -20,7 +20,7 @@ from eldata.demo.scenes import scene_radiance
 from eldata.demo.tree import demo_card
 from eldata.errors import ArgumentError
 from eldata.evaluation import save_clip_prediction
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.catalogue import save_manifest
 from eldata.metrics import st_rred
 from eldata.metrics.st_rred import PEAK_ELD
 from eldata.raw.dng import write_dng

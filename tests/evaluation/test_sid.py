@@ -11,7 +11,7 @@ import pytest
 
 from eldata.evaluation import EvaluationResult, evaluate, save_prediction
 from eldata.manifest.catalogue import shipped_manifest
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.raw import packed_shape, read_raw
 from tests.sid_tree import frames_of, write_frames
 
@@ -28,7 +28,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data")
     for name, subset in SUBSETS.items():
         manifest = shipped_manifest(name)
-        pairs = select_pairs(manifest.records, manifest.card.subsets, subset=subset)
+        pairs = Choice(subset=subset).pairs(manifest.records, manifest.card.subsets)
         write_frames(name, folder / "SID", frames_of(manifest, {pair.path for pair in pairs}))
     return folder
 
@@ -38,7 +38,7 @@ def predictions(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, generator = tmp_path_factory.mktemp("predictions"), np.random.default_rng(2)
     for name, subset in SUBSETS.items():
         manifest = shipped_manifest(name)
-        for pair in select_pairs(manifest.records, manifest.card.subsets, subset=subset):
+        for pair in Choice(subset=subset).pairs(manifest.records, manifest.card.subsets):
             sensor = read_raw(root / "SID" / pair.reference).sensor
             shape = packed_shape((sensor.height, sensor.width), sensor.cfa)
             save_prediction(folder / name, pair.path, generator.random(shape, np.float32))

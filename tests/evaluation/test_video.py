@@ -18,7 +18,7 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation import EvaluationResult, evaluate, save_clip_prediction
 from eldata.evaluation.comparison import compare
 from eldata.evaluation.looking import images_of
-from eldata.manifest.drv import scan_raw
+from eldata.manifest.layouts import scan_raw
 from eldata.metrics import PEAK_ELD, psnr, st_rred
 from eldata.raw.levels import unpack
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip

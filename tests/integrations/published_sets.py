@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.manifest.card import CameraCard, Card
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.catalogue import save_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord, Sensor
 

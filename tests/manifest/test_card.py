@@ -11,7 +11,7 @@ import pytest
 
 from eldata.errors import ManifestError
 from eldata.manifest.card import CFA_WORDS, CameraCard, Card, Download, cfa_word, load_card, save_card
-from eldata.manifest.catalogue import find_manifests, load_manifest
+from eldata.manifest.catalogue import load_manifest
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
@@ -140,13 +140,6 @@ def test_a_bad_field_is_named(path: Path, where: tuple[str | int, ...], value: A
     assert f"{path}, field {field}: " in str(raised.value)
 
 
-@in_one_test("content, said", [(b"path,role\n", "is not JSON"), (b"[]", r"expected an object, found \[\]")])
-def test_a_file_that_is_no_card_is_named(path: Path, content: bytes, said: str) -> None:
-    path.write_bytes(content)
-    with pytest.raises(ManifestError, match=f"{path}: {said}"):
-        load_card(path)
-
-
 # --- card and table together --------------------------------------------------------------------------------------
 
 
@@ -169,8 +162,3 @@ def test_a_lost_row_is_noticed(tree: Tree) -> None:
     tree.csv.write_text("".join(lines[:-2] + lines[-1:]), encoding="utf-8")
     with pytest.raises(ManifestError, match="the card expects"):
         load_manifest(tree.csv)
-
-
-def test_a_folder_without_manifests(tmp_path: Path) -> None:
-    with pytest.raises(ManifestError, match="holds no manifest"):
-        find_manifests(tmp_path)

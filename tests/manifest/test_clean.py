@@ -12,7 +12,7 @@ from eldata.datasets import CleanClips, CleanFrames
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import DatasetError
 from eldata.manifest import shipped_manifest
-from eldata.manifest.clean import clean_raws
+from eldata.manifest.own import clean_raws
 from eldata.noise import CameraProfile
 from eldata.records import Exposure
 from eldata.sources.store import source_of_folder

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.errors import ManifestError
 from eldata.manifest.lock import lock
-from eldata.manifest.table import load_records, save_records
 from eldata.manifest.verify import verify
 from tests.trees import Tree, flip_compressed_byte, frame, scale_exposure
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,13 +36,6 @@ def test_sizes_and_hashes_are_filled_in(tree: Tree) -> None:
     full = verify([tree.manifest], tree.root, level="full")
     assert full.ok
     assert full.datasets[0].files_hashed == 32
-
-
-def test_locking_again_changes_nothing(tree: Tree) -> None:
-    lock(tree.csv, tree.root)
-    before = contents(tree)
-    assert lock(tree.csv, tree.root).files_locked == 32
-    assert contents(tree) == before
 
 
 def cut(tree: Tree) -> None:
@@ -90,14 +77,6 @@ def test_a_recorded_hash_is_not_overruled(tree: Tree) -> None:
     assert contents(tree) == before
 
 
-def test_a_recorded_size_is_not_overruled(tree: Tree) -> None:
-    save_records(tree.csv, [replace(r, size_bytes=1) if r.path == frame(4) else r for r in tree.manifest.records])
-    before = contents(tree)
-    report = lock(tree.csv, tree.root)
-    assert [(problem.path, problem.field) for problem in report.problems] == [(frame(4), "size_bytes")]
-    assert contents(tree) == before
-
-
 def test_a_camera_at_a_time(tree: Tree) -> None:
     """Locking the second camera keeps what was recorded of the first."""
     beta = tree.data / "DemoBeta"
@@ -109,38 +88,3 @@ def test_a_camera_at_a_time(tree: Tree) -> None:
     aside.rename(beta)
     assert lock(tree.csv, tree.root, cameras=["DemoBeta"]).files_locked == 16
     assert all(record.sha256 for record in tree.manifest.records)
-
-
-def test_an_unknown_camera(tree: Tree) -> None:
-    before = contents(tree)
-    with pytest.raises(ManifestError, match="known are DemoAlpha, DemoBeta"):
-        lock(tree.csv, tree.root, cameras=["SonyA7S2"])
-    assert contents(tree) == before
-
-
-KILLED = """
-import os, sys
-
-def kill(*arguments, **options):
-    os.kill(os.getpid(), 9)
-
-os.replace = kill
-
-from eldata.manifest.lock import lock
-
-lock(sys.argv[1], sys.argv[2])
-"""
-
-
-@pytest.mark.kill
-def test_a_kill_while_writing_leaves_the_manifest(tree: Tree) -> None:
-    """Just before the new file takes the old one's name."""
-    before = tree.csv.read_bytes()
-    command = [sys.executable, "-c", KILLED, str(tree.csv), str(tree.root)]
-    done = subprocess.run(command, capture_output=True, timeout=PATIENCE_S)
-    assert done.returncode == -signal.SIGKILL, done.stderr.decode()
-    assert tree.csv.read_bytes() == before
-    assert len(load_records(tree.csv)) == 32
-    assert lock(tree.csv, tree.root).files_locked == 32
-    assert sorted(path.name for path in tree.csv.parent.iterdir()) == [tree.csv.name, f"{tree.csv.stem}.json"]
-    assert verify(tree.csv.parent, tree.root, level="full").ok

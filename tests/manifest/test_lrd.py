@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.errors import ManifestError
-from eldata.manifest.catalogue import shipped_folder, shipped_manifest
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.catalogue import save_manifest, shipped_folder, shipped_manifest
+from eldata.manifest.pairs import Choice
 from eldata.manifest.verify import verify
-from eldata.manifest.writing import save_manifest
 from manifests.published_lrd import LrdScene, load_lrd_scenes, lrd_scenes_from_lists
 from tests.lrd_tree import write_frames
 from tests.trees import swap
@@ -69,7 +67,7 @@ def test_lines_of_the_lists(line: str) -> None:
 
 
 def test_ratios_are_not_the_exposure_biases() -> None:
-    pairs = select_pairs(shipped_manifest("lrd").records)
+    pairs = Choice().pairs(shipped_manifest("lrd").records)
     spans = {1: (1.49, 3.31), 2: (2.98, 8.0), 3: (5.97, 20.32)}  # of the lists, by their code's formula
     for bias, (low, high) in spans.items():
         ratios = [float(pair.ratio) for pair in pairs if f"_{bias:02d}_" in pair.path]
@@ -81,7 +79,7 @@ def test_ratios_are_not_the_exposure_biases() -> None:
 def test_subsets_are_one_bias_of_the_test_scenes() -> None:
     manifest = shipped_manifest("lrd")
     for bias in (1, 2, 3):
-        pairs = select_pairs(manifest.records, manifest.card.subsets, subset=f"test-{bias}ev")
+        pairs = Choice(subset=f"test-{bias}ev").pairs(manifest.records, manifest.card.subsets)
         assert len(pairs) == 60
         assert {pair.path.split("_")[1] for pair in pairs} == {f"{bias:02d}"}
         assert {pair.split for pair in pairs} == {"test"}
@@ -101,22 +99,6 @@ def test_scenes_from_lists(tmp_path: Path) -> None:
     )
     known = {scene.scene: scene for scene in load_lrd_scenes(FACTS)}
     assert all(known[scene.scene] == scene for scene in lrd_scenes_from_lists(lists))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("ISO200 -1EV", "ISO200 -1EV Outdoor", "line 1: not a line of an LRD list"),
-        ("Noisy/00541_01", "Noisy/00542_01", "line 1: not a line of an LRD list"),
-        ("00541_01_0.01s.DNG ISO200 -1EV", "00541_01_0.01s.DNG ISO200 -2EV", "line 1: not a line of an LRD list"),
-        ("0.01s.DNG ISO200", "0.01s.DNG ISO400", "scene 00541: .*'test', 200.*'test', 400"),
-        ("00541_03_0.0025s.DNG ISO200 -3EV", "00541_02_0.0025s.DNG ISO200 -2EV", "a second frame of -2EV"),
-    ],
-)
-def test_lists_that_the_table_could_not_say(old: str, new: str, message: str, tmp_path: Path) -> None:
-    (tmp_path / "test.txt").write_text(TEST_LIST.replace(old, new))
-    with pytest.raises(ManifestError, match=message):
-        lrd_scenes_from_lists({"test": tmp_path / "test.txt"})
 
 
 # --- on the disk ------------------------------------------------------------------------------------------------------

@@ -19,9 +19,8 @@ from eldata.manifest.catalogue import (
     shipped_manifest,
     shipped_names,
 )
-from eldata.manifest.pairs import select_pairs
-from manifests.published_lrid import Burst, bursts_from_infos, load_bursts, save_bursts
-from manifests.published_sidd import load_instances
+from eldata.manifest.pairs import Choice
+from manifests.published_lrid import bursts_from_infos
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -69,19 +68,11 @@ def test_lrid_states_what_its_names_do() -> None:
             assert record.reference == f"{part}/npy/GT_align_ours/{scene}.npy"
 
 
-def test_lrid_splits_are_the_scenes_that_the_published_code_scores() -> None:
-    records = shipped_manifest("lrid").records
-    scored = {split: {r.scene for r in records if r.split == split} for split in ("eval", "test")}
-    assert scored["eval"] == {f"indoor_x5-{number:03d}" for number in (4, 14, 25, 41, 44, 51, 52, 53, 58)}
-    assert scored["test"] == {f"outdoor_x3-{number:03d}" for number in (9, 21, 22, 32, 44, 51)}
-    assert {record.split for record in records if record.role != "bias"} == {"eval", "test", "train"}
-
-
 def test_lrid_subsets_are_first_frames_of_bursts() -> None:
     """As the published code takes them: frame 0 of the sorted names, each gain."""
     manifest = shipped_manifest("lrid")
     for subset, split, gains in (("indoor-first", "eval", (1, 2, 4, 8, 16)), ("outdoor-first", "test", (1, 2, 4))):
-        found = select_pairs(manifest.records, manifest.card.subsets, subset=subset)
+        found = Choice(subset=subset).pairs(manifest.records, manifest.card.subsets)
         bursts: dict[str, list[str]] = {}
         for record in manifest.records:
             if record.role == "noisy" and record.split == split:
@@ -140,19 +131,6 @@ def info_files(folder: Path, change: Any = None) -> Path:
     return folder
 
 
-def test_lrid_bursts_from_info_files(tmp_path: Path) -> None:
-    found = bursts_from_infos(info_files(tmp_path / "infos"))
-    assert len(found) == 3 * 2 * 2
-    frames = ("200100@2022_08_20_23_41_54_310_334174236307560", "200110@2022_08_20_23_41_54_311_334174236307561")
-    assert found[3] == Burst("indoor_x5", "001", 2, 20000000, 180, frames)
-    assert found[3].names[0] == (
-        "indoor_x5/6400/2/001/200100_exp-20000000_iso-6400_2022_08_20_23_41_54_310_334174236307560_orientation_180_"
-        "camera-0.dng"
-    )
-    save_bursts(tmp_path / "facts.csv", found)
-    assert load_bursts(tmp_path / "facts.csv") == found
-
-
 def test_an_info_file_is_not_run(tmp_path: Path) -> None:
     class Harmful:
         def __reduce__(self) -> tuple[Any, ...]:
@@ -163,20 +141,6 @@ def test_an_info_file_is_not_run(tmp_path: Path) -> None:
 
     assert len(bursts_from_infos(info_files(tmp_path / "infos", add))) == 12
     assert not (tmp_path / "ran").exists()
-
-
-def test_info_files_that_the_table_could_not_say(tmp_path: Path) -> None:
-    def other_exposure(shorts: dict[int, Any], references: list[Any]) -> None:
-        data = shorts[1][0]["data"]
-        data[0] = data[0].replace("exp-40000000", "exp-50000000")
-
-    def lost_reference(shorts: dict[int, Any], references: list[Any]) -> None:
-        references.pop()
-
-    with pytest.raises(ManifestError, match="indoor_x5, gain 1, scene 000: frames differ"):
-        bursts_from_infos(info_files(tmp_path / "infos", other_exposure))
-    with pytest.raises(ManifestError, match="the references of indoor_x5 are not those of its scenes"):
-        bursts_from_infos(info_files(tmp_path / "infos", lost_reference))
 
 
 # --- SIDD -------------------------------------------------------------------------------------------------------------
@@ -205,17 +169,11 @@ def test_sidd_names_say_what_the_readme_says_they_do() -> None:
 def test_sidd_subsets_of_sfrn() -> None:
     manifest = shipped_manifest("sidd")
     for phone in ("S6", "GP", "IP"):
-        pairs = select_pairs(manifest.records, manifest.card.subsets, subset=f"sfrn-{phone.lower()}")
+        pairs = Choice(subset=f"sfrn-{phone.lower()}").pairs(manifest.records, manifest.card.subsets)
         instances = {pair.path.split("/")[2] for pair in pairs}
         assert {instance.split("_")[2] for instance in instances} == {phone}
         assert {instance.split("_")[1] for instance in instances} == {"002", "003", "005"}
         assert len(pairs) == 2 * len(instances)
-
-
-def test_a_sidd_name_of_another_form(tmp_path: Path) -> None:
-    (tmp_path / "sidd.csv").write_text("instance\n0001_001_S7_00100_00060_3200_L\n")
-    with pytest.raises(ManifestError, match="not the name of a scene instance of SIDD: '0001_001_S7"):
-        load_instances(tmp_path / "sidd.csv")
 
 
 # --- CRVD -------------------------------------------------------------------------------------------------------------
@@ -230,7 +188,7 @@ def test_crvd_has_55_groups_of_seven_frames() -> None:
     assert set(groups.values()) == {70}
     assert Counter(record.role for record in manifest.records) == {"noisy": 3850, "reference": 385}
     assert {record.scene for record in noisy if record.split == "test"} == {f"scene{number}" for number in range(7, 12)}
-    first = select_pairs(manifest.records, manifest.card.subsets, subset="test-first")
+    first = Choice(subset="test-first").pairs(manifest.records, manifest.card.subsets)
     assert len(first) == 5 * 5 * 7
     assert first[0].path.endswith("_noisy0.tiff")
     assert first[0].reference.startswith("indoor_raw_gt/")

@@ -11,11 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from capture.observed import raw_files
 from eldata.cli.main import main
-from eldata.datasets import CleanFrames
 from eldata.errors import ArgumentError, DatasetError
-from eldata.evaluation.layouts import find_predictions
 from eldata.manifest import load_manifest, shipped_manifest, verify
 from eldata.manifest.own import sort_own_set
 from eldata.raw import write_dng
@@ -169,14 +166,6 @@ def test_the_nearest_reference_is_by_the_clock_where_all_state_one(clock: bool, 
     assert told(found)["hall/b-dark.dng"][3] == f"hall/{'d' if clock else 'a'}-clean.dng"
 
 
-def test_a_copy_of_a_set_that_is_not_one_folder_deep(tmp_path: Path, demo_tree: Path) -> None:
-    """Raws that lie in the folder itself are one scene, called as the folder is."""
-    tree = tree_in(demo_tree)
-    shutil.copytree(tree.file(1).parent, tmp_path / "hallway")
-    found = sort_own_set(tmp_path / "hallway", "mine")
-    assert {one.scene for one in found.records} == {"hallway"}
-
-
 def test_one_frame_of_each_shot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """RAW and DNG, a copy, another spelling are named, not counted; no DNG beside its raw is a fault to verify."""
     folder = tmp_path / "MINE" / "hall"
@@ -202,18 +191,3 @@ def test_one_frame_of_each_shot(tmp_path: Path, capsys: pytest.CaptureFixture[st
     shoot(folder / "img_2.dng", Exposure(Fraction(3200), Fraction(1, 400)))
     (problem,) = sort_own_set(tmp_path / "MINE", "mine").problems
     assert (problem.path, problem.found) == ("hall/img_2.dng", "hall/IMG_2.DNG")
-
-
-def test_companions_of_macos_are_passed_over_everywhere(tmp_path: Path, demo_tree: Path) -> None:
-    shutil.copytree(demo_tree, tmp_path / "copy")
-    tree = tree_in(tmp_path / "copy")
-    np.save(tmp_path / "copy" / "IMG_0004.npy", np.zeros(1))
-    for path in [path for path in (tmp_path / "copy").rglob("*") if path.is_file()]:
-        path.with_name(f"._{path.name}").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X        ")
-    count = len(tree.manifest.records)
-    assert verify(tree.csv.parent, tree.root).ok
-    assert (len(sort_own_set(tree.data, "mine").records), len(CleanFrames(tree.data))) == (count, 8)
-    assert len(raw_files([tree.data], ".dng")) == count
-    assert find_predictions(tmp_path / "copy", ["IMG_0004.dng"]).files == {
-        "IMG_0004.dng": tmp_path / "copy" / "IMG_0004.npy"
-    }

@@ -9,7 +9,7 @@ import pytest
 
 from eldata.errors import ArgumentError
 from eldata.manifest.catalogue import shipped_manifest
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def values(pairs: tuple[PairRecord, ...], field: str) -> set[object]:
 
 
 def test_all_pairs_in_the_manifests_order() -> None:
-    pairs = select_pairs(RECORDS)
+    pairs = Choice().pairs(RECORDS)
     assert len(pairs) == 480
     assert [pair.path for pair in pairs] == [record.path for record in RECORDS if record.role == "noisy"]
 
@@ -42,17 +42,9 @@ def test_all_pairs_in_the_manifests_order() -> None:
     ],
 )
 def test_each_filter(filters: dict[str, Any], field: str, found: set[object], count: int) -> None:
-    pairs = select_pairs(RECORDS, **filters)
+    pairs = Choice(**filters).pairs(RECORDS)
     assert values(pairs, field) == found
     assert len(pairs) == count
-
-
-def test_filters_together() -> None:
-    pairs = select_pairs(RECORDS, cameras=["SonyA7S2"], scenes=[2], isos=[800], ratios=[200])
-    assert len(pairs) == 1
-    assert pairs[0].path == "SonyA7S2/scene-2/IMG_0005.ARW"
-    assert pairs[0].reference == "SonyA7S2/scene-2/IMG_0006.ARW"
-    assert pairs[0].exposure_s == Fraction(1, 500)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +58,7 @@ def test_filters_together() -> None:
 )
 def test_an_unknown_value_lists_the_known(filters: dict[str, Any], said: str) -> None:
     with pytest.raises(ArgumentError, match=said):
-        select_pairs(RECORDS, **filters)
+        Choice(**filters).pairs(RECORDS)
 
 
 @pytest.mark.parametrize("name", ["cameras", "scenes", "isos", "ratios"])
@@ -74,15 +66,15 @@ def test_a_string_in_place_of_a_list_is_refused(name: str) -> None:
     """Otherwise "SonyA7S2" would be taken as the cameras S, o, n, y ..."""
     filters: Any = {name: "SonyA7S2"}
     with pytest.raises(ArgumentError, match=r"as a list"):
-        select_pairs(RECORDS, **filters)
+        Choice(**filters).pairs(RECORDS)
 
 
 def test_a_combination_that_does_not_occur() -> None:
     some = [r for r in RECORDS if not (r.camera == "SonyA7S2" and r.iso == 800)]
     with pytest.raises(ArgumentError, match="no pair has all of"):
-        select_pairs(some, cameras=["SonyA7S2"], isos=[800])
+        Choice(cameras=["SonyA7S2"], isos=[800]).pairs(some)
     with pytest.raises(ArgumentError, match="no pair has all of"):
-        select_pairs(RECORDS, cameras=[])
+        Choice(cameras=[]).pairs(RECORDS)
 
 
 def test_numbers_of_padded_scenes_and_either_of_two_flags() -> None:
@@ -90,8 +82,8 @@ def test_numbers_of_padded_scenes_and_either_of_two_flags() -> None:
         FrameRecord(f"{scene}/2.ARW", "noisy", "a", scene, ratio=Fraction(100), reference=f"{scene}/1.ARW", flags=flags)
         for scene, flags in (("0001", ("moved",)), ("0010", ("dim", "blurred")), ("0002", ()))
     ]
-    assert [pair.scene for pair in select_pairs(records, scenes=[1, 10])] == ["0001", "0010"]
-    assert [pair.scene for pair in select_pairs(records, exclude_flags=["moved", "dim"])] == ["0002"]
+    assert [pair.scene for pair in Choice(scenes=[1, 10]).pairs(records)] == ["0001", "0010"]
+    assert [pair.scene for pair in Choice(exclude_flags=["moved", "dim"]).pairs(records)] == ["0002"]
 
 
 def test_rows_that_are_no_pairs_are_left_out() -> None:
@@ -103,6 +95,6 @@ def test_rows_that_are_no_pairs_are_left_out() -> None:
         FrameRecord("a/5.ARW", "bias", "a"),
         FrameRecord("a/6.ARW", "flat", "a"),
     ]
-    pairs = select_pairs(records)
+    pairs = Choice().pairs(records)
     assert [pair.path for pair in pairs] == ["a/2.ARW"]
     assert pairs[0].flags == ("misaligned",)

@@ -11,12 +11,10 @@ import pytest
 from capture.protocol import RELEASED
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import Manifest, carded_names, shipped_folder, shipped_manifest, shipped_names
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import verify
 from manifests.generate import published
-from manifests.published_drv import load_splits, save_splits
-from manifests.published_lrd import load_lrd_scenes, save_lrd_scenes
 from tests.trees import build_published_tree
 
 EXTENSIONS = {"SonyA7S2": ".ARW", "NikonD850": ".nef", "CanonEOS70D": ".CR2", "CanonEOS700D": ".CR2"}
@@ -49,14 +47,6 @@ def test_committed_files_are_what_the_generator_writes(tmp_path: Path) -> None:
     assert set(published()) == set(shipped_names())
 
 
-def test_facts_are_written_as_they_are_read(tmp_path: Path) -> None:
-    drv, lrd = (shipped_folder() / "facts" / name for name in ("drv.csv", "lrd.csv"))
-    save_splits(tmp_path / "drv.csv", load_splits(drv))
-    save_lrd_scenes(tmp_path / "lrd.csv", load_lrd_scenes(lrd))
-    for path in (drv, lrd):
-        assert (tmp_path / path.name).read_bytes() == path.read_bytes()
-
-
 @pytest.fixture(scope="module")
 def eld() -> Manifest:
     return shipped_manifest("eld")
@@ -77,12 +67,6 @@ def test_every_file_is_listed_by_its_real_name(eld: Manifest) -> None:
     assert {record.path for record in eld.records} == expected
 
 
-def test_fields_agree_with_the_path(eld: Manifest) -> None:
-    for record in eld.records:
-        assert (record.camera, record.scene) == tuple(record.path.split("/")[:2])
-        assert record.split == "test"
-
-
 def test_numbers_isos_factors_and_references(eld: Manifest) -> None:
     for record in eld.records:
         number = number_of(record.path)
@@ -97,7 +81,7 @@ def test_numbers_isos_factors_and_references(eld: Manifest) -> None:
 
 @pytest.mark.parametrize("ratios", [(100, 200), (1, 10)])
 def test_the_papers_240_pairs_and_the_easier_240(eld: Manifest, ratios: tuple[int, ...]) -> None:
-    pairs = select_pairs(eld.records, ratios=ratios)
+    pairs = Choice(ratios=ratios).pairs(eld.records)
     assert len(pairs) == 240
     groups = Counter((pair.camera, pair.ratio) for pair in pairs)
     assert groups == {(camera, ratio): 30 for camera in EXTENSIONS for ratio in ratios}

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.errors import ArgumentError, ManifestError
-from eldata.manifest.card import find_subset, load_card
+from eldata.manifest.card import find_subset
 from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.manifest.verify import verify
-from manifests.sid_scenes import SID_CAMERAS, SONY, load_scenes, save_scenes, scenes_from_lists
+from manifests.sid_scenes import SID_CAMERAS, save_scenes, scenes_from_lists
 from tests.sid_tree import NAMES, SmallTree, build_small_tree
-from tests.trees import scale_exposure, swap
+from tests.trees import scale_exposure
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -51,7 +51,7 @@ def per_ratio(pairs: tuple[PairRecord, ...]) -> tuple[int, ...]:
 
 
 def subset_of(manifest: Manifest, name: str, **options: object) -> tuple[PairRecord, ...]:
-    return select_pairs(manifest.records, manifest.card.subsets, subset=name, **options)  # type: ignore[arg-type]
+    return Choice(subset=name, **options).pairs(manifest.records, manifest.card.subsets)  # type: ignore[arg-type]
 
 
 def first_shot(path: str) -> bool:
@@ -67,7 +67,7 @@ def test_counts_per_split_and_ratio(name: str, split: str) -> None:
     short, long, ratios, first = COUNTS[name, split]
     roles = Counter(record.role for record in manifest.records if record.split == split)
     assert roles == {"noisy": short, "reference": long}
-    pairs = select_pairs(manifest.records, split=[split])
+    pairs = Choice(split=[split]).pairs(manifest.records)
     assert per_ratio(pairs) == ratios
     assert per_ratio(tuple(pair for pair in pairs if first_shot(pair.path))) == first
 
@@ -107,11 +107,8 @@ def test_rows_say_what_their_names_say(name: str) -> None:
     ("name", "path", "iso"),
     [
         ("sid-sony", "Sony/short/00001_00_0.04s.ARW", 200),
-        ("sid-sony", "Sony/long/10003_00_10s.ARW", 200),
         ("sid-sony", "Sony/short/10172_09_0.1s.ARW", 160),
-        ("sid-sony", "Sony/short/20005_01_0.1s.ARW", 200),
         ("sid-sony", "Sony/long/00207_00_10s.ARW", 25600),
-        ("sid-fuji", "Fuji/short/10019_00_0.033s.RAF", 640),
         ("sid-fuji", "Fuji/short/00001_03_0.1s.RAF", 1000),
         ("sid-fuji", "Fuji/long/20015_00_10s.RAF", 1000),
     ],
@@ -136,11 +133,6 @@ def test_flags() -> None:
     }
     for name, flag in flagged:
         assert any(flag in defect for defect in shipped_manifest(name).card.known_defects)
-
-
-def test_the_one_frame_of_uncertain_iso_states_none() -> None:
-    (record,) = [r for r in shipped_manifest("sid-sony").records if "uncertain-iso" in r.flags]
-    assert (record.path, record.iso, record.ratio) == ("Sony/short/00207_02_0.033s.ARW", None, Fraction(300))
 
 
 # --- subsets ------------------------------------------------------------------------------------------------------
@@ -175,22 +167,6 @@ def test_the_indoor_subset_is_15_scenes_at_each_ratio() -> None:
     assert times == {"0.1s.ARW": 100, "0.04s.ARW": 250, "0.033s.ARW": 300}
 
 
-@NAMED
-def test_every_subset_says_where_it_comes_from(name: str) -> None:
-    card = shipped_manifest(name).card
-    assert card.subsets[0].name == {"sid-sony": "eval-first", "sid-fuji": "test-first"}[name]
-    for subset in card.subsets:
-        assert subset.title
-        assert subset.source
-
-
-def test_a_subset_and_other_choices_together() -> None:
-    manifest = shipped_manifest("sid-sony")
-    assert len(subset_of(manifest, "eval-first", exclude_flags=["misaligned"])) == 124
-    assert len(subset_of(manifest, "eval-first", ratios=[300], split=["val"])) == 14
-    assert {pair.scene for pair in subset_of(manifest, "indoor-15", scenes=[10185])} == {"10185"}
-
-
 def test_an_unknown_subset_lists_the_known() -> None:
     known = shipped_manifest("sid-sony").card.subsets
     with pytest.raises(ArgumentError, match="'first'; known are eval-first, test-first, indoor-15, all"):
@@ -203,37 +179,7 @@ def test_a_subset_that_lost_pairs_is_refused() -> None:
     manifest = shipped_manifest("sid-sony")
     records = [record for record in manifest.records if record.path != "Sony/short/10185_00_0.1s.ARW"]
     with pytest.raises(ManifestError, match="'indoor-15': the card expects 45 pairs, the manifest has 44"):
-        select_pairs(records, manifest.card.subsets, subset="indoor-15")
-
-
-@pytest.mark.parametrize(
-    ("filters", "said"),
-    [
-        ({"scenes": ["10002"]}, "no pair has scene 10002; known are 231, next to it .*10003, "),
-        ({"isos": [12]}, "no pair has ISO 12; known are 50, 64, 80, 100, .*25600$"),
-        ({"exclude_flags": ["blurred"]}, "no pair has flag blurred; known are misaligned, misaligned-unconfirmed"),
-    ],
-)
-def test_unknown_values_list_the_known(filters: dict[str, object], said: str) -> None:
-    with pytest.raises(ArgumentError, match=said):
-        select_pairs(shipped_manifest("sid-sony").records, **filters)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ('"pairs": 45', '"pairs": "45"', r"subsets\[2\].pairs: expected a whole number of 0 or more, found '45'"),
-        ('"name": "all"', '"name": "indoor-15"', r"subsets\[3\].name: 'indoor-15' names two subsets"),
-        ('"splits"', '"split"', r"subsets\[0\].split: is unknown"),
-        ('"pairs": 129,', "", r"subsets\[0\].pairs: expected a whole number of 0 or more, found nothing"),
-    ],
-)
-def test_malformed_subsets_are_named(old: str, new: str, said: str, tmp_path: Path) -> None:
-    text = (shipped_folder() / "sid-sony.json").read_text(encoding="utf-8")
-    assert old in text
-    (tmp_path / "card.json").write_text(text.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(ManifestError, match=said):
-        load_card(tmp_path / "card.json")
+        Choice(subset="indoor-15").pairs(records, manifest.card.subsets)
 
 
 # --- the generator ------------------------------------------------------------------------------------------------
@@ -243,7 +189,7 @@ def test_malformed_subsets_are_named(old: str, new: str, said: str, tmp_path: Pa
 def test_the_official_lists_condense_to_the_table_of_scenes(name: str, tmp_path: Path) -> None:
     """Lists in the official form, written from the manifest, give the committed table of scenes."""
     folder, _ = FOLDERS[name]
-    pairs = select_pairs(shipped_manifest(name).records)
+    pairs = Choice().pairs(shipped_manifest(name).records)
     lists = []
     for split in ("train", "val", "test"):
         lists.append(tmp_path / f"{folder}_{split}_list.txt")
@@ -253,32 +199,6 @@ def test_the_official_lists_condense_to_the_table_of_scenes(name: str, tmp_path:
         lists[-1].write_text("".join(lines), encoding="utf-8")
     save_scenes(tmp_path / "scenes.csv", scenes_from_lists(SID_CAMERAS[name], lists))
     assert (tmp_path / "scenes.csv").read_bytes() == (FACTS / f"{name}.csv").read_bytes()
-
-
-GOOD = "./Sony/short/00001_0{}_0.1s.ARW ./Sony/long/00001_00_{}s.ARW ISO{} F8"
-
-
-@pytest.mark.parametrize(
-    ("lines", "said"),
-    [
-        ([GOOD.format(0, 10, 200), "./Sony/short/00001_01_0.1s.ARW"], "line 2: not a line of a SID list"),
-        ([GOOD.format(0, 10, 200).replace("long/00001", "long/00002")], "line 1: not a line"),
-        ([GOOD.format(0, 10, 200), GOOD.format(2, 10, 200)], r"scene 00001.*gaps: \['0.1s'\]"),
-        ([GOOD.format(0, 10, 200), GOOD.format(1, 30, 200)], r"long: \['10s', '30s'\]"),
-        ([GOOD.format(0, 10, 200), GOOD.format(1, 10, 400)], "of another ISO: .*00001_01_0.1s.ARW"),
-    ],
-)
-def test_a_list_that_the_table_cannot_say_is_refused(lines: list[str], said: str, tmp_path: Path) -> None:
-    path = tmp_path / "Sony_train_list.txt"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    with pytest.raises(ManifestError, match=said):
-        scenes_from_lists(SONY, [path])
-
-
-def test_another_table_of_scenes_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "scenes.csv").write_text("scene,iso\n00001,200\n", encoding="utf-8")
-    with pytest.raises(ManifestError, match=r"expected the columns scene,iso,long,0\.1s,0\.04s,0\.033s"):
-        load_scenes(tmp_path / "scenes.csv")
 
 
 # --- verify -------------------------------------------------------------------------------------------------------
@@ -308,26 +228,6 @@ def problems(tree: SmallTree, level: Level = "metadata") -> list[Problem]:
 def frame(tree: SmallTree, exposure: str, burst: int = 0) -> str:
     name = tree.manifest.name
     return f"{LEFT[name].removesuffix('00_')}{burst:02d}_{exposure}s{FOLDERS[name][1]}"
-
-
-def test_a_good_copy_passes(tree: SmallTree) -> None:
-    assert problems(tree, "full") == []
-
-
-def test_a_missing_reference_folder(tree: SmallTree) -> None:
-    folder = f"{FOLDERS[tree.manifest.name][0]}/long"
-    shutil.rmtree(tree.data / folder)
-    (problem,) = problems(tree)
-    assert (problem.path, problem.expected) == (f"{folder}/", "2 files")
-    assert problem.advice == "unpack it there", "there is no other camera to choose"
-
-
-def test_swapped_exposures(tree: SmallTree) -> None:
-    """The short frame of 0.1 s under the name of that of 0.033 s: its exposure gives it away, and the ratio."""
-    first, second = frame(tree, "0.1"), frame(tree, "0.033")
-    swap(tree.data / first, tree.data / second)
-    found = [(problem.path, problem.field) for problem in problems(tree)]
-    assert found == [(path, field) for path in sorted((first, second)) for field in ("exposure_s", "ratio")]
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ from eldata.datasets.synthetic.pairs import check_scale, draw_dark
 from eldata.datasets.synthetic.turns import Turns, draw_splits
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
-from eldata.manifest.writing import save_manifest
+from eldata.manifest.catalogue import save_manifest
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
 from eldata.noise.parameters import NoiseDraw

@@ -25,9 +25,9 @@ from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.card import card_text
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest
-from eldata.manifest.clean import clean_raws
 from eldata.manifest.clips import choose_clips, clips_of
-from eldata.manifest.drv import scan_raw
+from eldata.manifest.layouts import scan_raw
+from eldata.manifest.own import clean_raws
 from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand, is_pattern, is_png
 from eldata.manifest.table import table_text
@@ -192,7 +192,7 @@ def _source_of_clips(
 
 
 def source_of_folder(folder: Path | str, reference: str | None = None) -> Source:
-    """Return the clean frames of a folder, such as the long exposures of SID: :func:`eldata.manifest.clean.clean_raws`.
+    """Return the clean frames of a folder, such as the long exposures of SID: :func:`eldata.manifest.own.clean_raws`.
 
     A folder of bias and flat-field frames, ``bias/ISO<iso>`` or ``flat/ISO<iso>``, gives them as what they are.
 

@@ -17,7 +17,7 @@ import pytest
 
 from eldata.base.arrays import read_rgb16
 from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, ManifestError, RawFileError
-from eldata.manifest.drv import scan_raw
+from eldata.manifest.layouts import scan_raw
 from eldata.raw import read_raw
 from eldata.records import Exposure, exact_fraction
 from eldata.sources.store import Store, build_store, source_of_dataset, source_of_folder, verify_store, write

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
     from eldata.calibration.results import Calibration
     from eldata.reports.calibration_iso import Pictures
-    from eldata.reports.figures import Plot
+    from eldata.reports.html import Plot
 
 _GRAVEST: tuple[Effect, ...] = ("withheld", "wider", "remark")
 _READ: tuple[Quantity, ...] = ("shape", "read noise")

@@ -17,11 +17,10 @@ from eldata.plots.axes import (
     legend_above,
     log_ticks,
     thinned,
+    transfer_lines,
 )
-from eldata.plots.gains import transfer_lines
 from eldata.plots.pictures import block_means, grey_png, limits
-from eldata.reports.figures import draw_plot
-from eldata.reports.html import digits, measured, plot_words
+from eldata.reports.html import digits, draw_plot, measured, plot_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
     from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
     from eldata.plots.axes import Theme
-    from eldata.reports.figures import Plot
+    from eldata.reports.html import Plot
 
 GAUSSIAN_LAMBDA = 0.14
 """The shape at which the Tukey-lambda distribution is nearest to the normal one."""

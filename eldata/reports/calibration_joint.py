@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.plots.axes import MARKERS, bars, legend_above
-from eldata.plots.gains import bar, gain_over_iso, iso_axis, scale_over_gain
+from eldata.plots.axes import MARKERS, bar, bars, gain_over_iso, iso_axis, legend_above, scale_over_gain
 from eldata.reports.calibration_iso import GAUSSIAN_LAMBDA
-from eldata.reports.figures import draw_plot
-from eldata.reports.html import digits
+from eldata.reports.html import digits, draw_plot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -22,7 +20,7 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
     from eldata.calibration.results import Calibration, ScalePanel
     from eldata.plots.axes import Theme
-    from eldata.reports.figures import Plot
+    from eldata.reports.html import Plot
 
 _BIN_DN = 0.5  # as in the paper
 _LINES = ("-", "--", "-.", ":")  # one per channel
@@ -70,7 +68,7 @@ def _scale_plot(panel: ScalePanel, more: str) -> Plot:
     alt += "." if lines else ""
 
     def draw(axes: Axes, theme: Theme) -> None:
-        scale_over_gain(axes, name, [(line.fit, low, high) for line, low, high in panel.spans], points, theme)
+        scale_over_gain(axes, name, panel.spans, points, theme)
 
     caption = "caption" if lines else "without_line"
     return draw_plot(

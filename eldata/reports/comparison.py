@@ -23,8 +23,7 @@ from eldata.evaluation.scores import natural
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, mean_gains, short
 from eldata.reports.evaluation import FACTS, Cell, Table, fact_cells, field_text, number_cell
-from eldata.reports.figures import draw_plot
-from eldata.reports.html import digits, rendered_with_script, signed
+from eldata.reports.html import digits, draw_plot, rendered_with_script, signed
 from eldata.reports.pictures import draw_images, picture_file
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Difference
     from eldata.plots.axes import Theme
-    from eldata.reports.figures import Plot
+    from eldata.reports.html import Plot
     from eldata.reports.pictures import DrawnImage, DrawnImages
 
 

@@ -27,8 +27,7 @@ from eldata.plots.axes import number
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, strips
 from eldata.protocols.words import FIELDS, in_words
-from eldata.reports.figures import draw_plot
-from eldata.reports.html import digits, rendered_with_script, signed
+from eldata.reports.html import digits, draw_plot, rendered_with_script, signed
 from eldata.reports.pictures import ShownImage, ShownImages, show_images
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ if TYPE_CHECKING:
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip
     from eldata.protocols.kinds import Kind
-    from eldata.reports.figures import Plot
+    from eldata.reports.html import Plot
 
 EACH: Final = 4
 """How many of the worst and of the best are shown."""

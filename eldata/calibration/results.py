@@ -336,7 +336,7 @@ class ScalePanel:
     @property
     def spans(self) -> list[Fit]:
         """The lines, each with the lowest and the highest gain of its mode's points."""
-        spans = []
+        spans: list[Fit] = []
         for mode, line in self.lines:
             inside = [gain for gain, _, _ in self.points if mode.distance(gain) == 0]
             spans.append((line.fit.scale_dn, min(inside), max(inside)))

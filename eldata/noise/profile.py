@@ -382,9 +382,7 @@ class CameraProfile:
             drawn = [(fit.scale_dn, *ends) for fit, ends in fits if fit is not None]
             known = [(row.gain_dn_per_e, getattr(row, field)) for row in self.rows]
             points = [(gain, scale, math.nan) for gain, scale in known if gain is not None and scale]  # no errors
-            scale_over_gain(
-                axes, name, [(fit.scale_dn, *ends) for fit, *ends in fits if fit is not None], points, theme
-            )
+            scale_over_gain(axes, name, drawn, points, theme)
 
         if sigma is not None:
             check_choice("sigma", sigma, SIGMAS)

@@ -142,21 +142,20 @@ def draw_quantiles(
     axes: Axes,
     theme: Theme,
     *,
-    expected: NDArray[np.floating[Any]],
-    found: NDArray[np.floating[Any]],
+    points: tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]],
     line: tuple[float, float],
     names: tuple[str, str],
     labels: tuple[str, str],
     note: str = "",
 ) -> None:
-    """Draw ordered values over expected quantiles, with a line of a slope and a level.
+    """Draw points (expected quantiles, ordered values), with a line of a slope and a level.
 
     ``names`` are those of the line and the points, ``labels`` those of the axes. The note stands in the lower right
     corner, which rising points leave free.
     """
-    ends = expected[[0, -1]]
+    ends = points[0][[0, -1]]
     axes.plot(ends, line[0] * ends + line[1], color=theme.theory, label=names[0])
-    axes.plot(expected, found, "o", markersize=3, color=theme.found, label=names[1])
+    axes.plot(*points, "o", markersize=3, color=theme.found, label=names[1])
     axes.text(0.98, 0.04, note, transform=axes.transAxes, ha="right", va="bottom", fontsize=9.5)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.legend(loc="upper left")

@@ -28,7 +28,7 @@ from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, strips
 from eldata.protocols.words import FIELDS, in_words
 from eldata.reports.html import digits, draw_plot, rendered_with_script, signed
-from eldata.reports.pictures import ShownImage, ShownImages, show_images
+from eldata.reports.pictures import show_images
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     from eldata.plots.scores import Strip
     from eldata.protocols.kinds import Kind
     from eldata.reports.html import Plot
+    from eldata.reports.pictures import DrawnImage
+
+    Shown = tuple[str, UnitScore, DrawnImage]
 
 EACH: Final = 4
 """How many of the worst and of the best are shown."""
@@ -86,10 +89,10 @@ def write_evaluation_page(
     write_text(out, evaluation_page(result, show_images(images)))
 
 
-def evaluation_page(result: EvaluationResult, shown: ShownImages) -> str:
+def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
     """Return the page; the same result and pictures give the same text."""
     kind = result.kind
-    ids = {image.score.path: f"picture-{index}" for index, image in enumerate(shown.images, start=1)}
+    ids = {score.path: f"picture-{index}" for index, (_, score, _) in enumerate(shown, start=1)}
     plots = score_plots(
         scores_in_order(result.scores, result.dataset),
         kind,
@@ -98,7 +101,7 @@ def evaluation_page(result: EvaluationResult, shown: ShownImages) -> str:
     )
     sections = [("means", "Means")]
     sections += [("distributions", "Distributions")] if plots else []
-    sections += [("pictures", "Worst and best")] if shown.images else []
+    sections += [("pictures", "Worst and best")] if shown else []
     sections += [("images", f"Every {kind.unit}")] if result.scores else []
     return rendered_with_script(
         "evaluation.html",
@@ -115,15 +118,14 @@ def evaluation_page(result: EvaluationResult, shown: ShownImages) -> str:
         table=table_with_intervals(result),
         interval_note=interval_note(result),
         plots=plots,
-        shown=shown,
+        sizes=sorted({image.box[:1:-1] for _, _, image in shown}),
+        has_whole=any(image.whole for _, _, image in shown),
         each=EACH,
-        error_limit=digits(shown.error_limit, 2),
+        error_limit=digits(shown[0][2].error_limit, 2) if shown else "",
         gradient=heat_gradient(),
         groups={
-            rank: [
-                (ids[image.score.path], image, _facts(image, result)) for image in shown.images if image.rank == rank
-            ]
-            for rank in dict.fromkeys(image.rank for image in shown.images)
+            rank: [_viewer(ids[score.path], score, image, result) for of, score, image in shown if of == rank]
+            for rank in dict.fromkeys(rank for rank, _, _ in shown)
         },
         rows=_rows(result, ids),
         protocol_fields=[(name, _protocol_text(name, value)) for name, value in result.protocol.as_dict().items()],
@@ -259,21 +261,42 @@ def _tiles(result: EvaluationResult) -> list[tuple[str, str, str]]:
     ]
 
 
-def _facts(image: ShownImage, result: EvaluationResult) -> str:
-    score = image.score
-    parts = [
-        *(
-            f"{text} {metric.unit}" if metric.unit else f"{metric.label} {text}"
-            for metric in result.kind.metrics
-            for text in [metric.format(score.values[metric.name])]
-        ),
+_LAYERS = {
+    "input": ("input", "Input{}", "Noisy input{}"),
+    "method-1": ("prediction", "Prediction", "Prediction"),
+    "reference": ("reference", "Reference", "Reference"),
+    "error-1": ("error", "Error", "Absolute error"),
+}
+
+
+def _viewer(name: str, score: UnitScore, image: DrawnImage, result: EvaluationResult) -> dict[str, Any]:
+    """Gather what is shown of one image: identifier, facts, layers with key, label, words and JPEG, and the crop."""
+    times = ("", "") if score.ratio is None else (f" ×{score.ratio:g}", f" times {score.ratio:g}")
+
+    def layers(jpegs: dict[str, bytes], place: str) -> list[tuple[str, str, str, bytes]]:
+        about = f"of {image.frame}: {score.psnr_db:.2f} dB, {place}"
+        known = [(*_LAYERS[layer], jpeg) for layer, jpeg in jpegs.items()]
+        return [
+            (key, label.format(times[0]), f"{alt.format(times[1])} {about}", jpeg) for key, label, alt, jpeg in known
+        ]
+
+    values = [(metric, metric.format(score.values[metric.name])) for metric in result.kind.metrics]
+    facts = [
+        *(f"{text} {metric.unit}" if metric.unit else f"{metric.label} {text}" for metric, text in values),
         *([f"rescaled by {score.rescale:.3f}"] if result.rescales else []),
         f"{score.camera}, {score.scene}",
         *([f"ISO {score.iso:g}"] if score.iso else []),
         *([factor_text(score.ratio, "×")] if score.ratio is not None else ["the frame with the lowest PSNR"]),
         *([f"shown {image.brighter:g} times brighter"] if image.brighter != 1 else []),
     ]
-    return ", ".join(parts)
+    return {
+        "id": name,
+        "image": image,
+        "facts": ", ".join(facts),
+        "layers": layers(image.layers, "centre crop"),
+        "whole": layers(image.whole, "whole"),
+        "box": [100 * length / image.size[1 - place % 2] for place, length in enumerate(image.box)],
+    }
 
 
 # --- plots of scores, one by one: by camera, ISO and factor, and the rescaling that was found ------------------------

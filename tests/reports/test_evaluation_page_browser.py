@@ -12,7 +12,6 @@ from eldata.evaluation.results import saved_result
 from eldata.reports import pictures
 from eldata.reports.comparison import write_comparison_page
 from eldata.reports.evaluation import evaluation_page, write_evaluation_page
-from eldata.reports.pictures import ShownImages
 from tests.capture.checklist_browser import Browser, Page
 from tests.evaluation.helpers import place, small_tree
 from tests.reports.evaluations import result
@@ -41,7 +40,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     methods = {name: result(gain_db=gain, method=gain) for gain, name in enumerate(("base", "unet", "best"))}
     write_comparison_page(compare(methods), paths["comparison"])
     hostile = [saved_result(hostile_data(method=method), "test") for method in (0, 1)]
-    paths["hostile"].write_text(evaluation_page(hostile[0], ShownImages((), 1.0)), encoding="utf-8")
+    paths["hostile"].write_text(evaluation_page(hostile[0], ()), encoding="utf-8")
     bad = "<b>" + "long" * 30
     write_comparison_page(compare({"a": hostile[0], bad: hostile[1]}), paths["hostile-comparison"])
     return paths

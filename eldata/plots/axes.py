@@ -107,13 +107,6 @@ def log_ticks(axis: Axis, decades: int) -> None:
     axis.set_major_formatter(FuncFormatter(number))
 
 
-def plain_ticks(axis: Axis, at: Sequence[float]) -> None:
-    """Label an axis with plain numbers at these places."""
-    axis.set_major_locator(FixedLocator(list(at)))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(number))
-
-
 def number(value: float, _position: object = None) -> str:
     """Return a number for a tick, with a minus sign."""
     return f"{value:g}".replace("-", "−")
@@ -240,7 +233,9 @@ def iso_axis(axes: Axes, isos: Sequence[float]) -> None:
     """Set up a logarithmic axis of ISOs."""
     axes.set_xscale("log")
     axes.set_xlabel("ISO")
-    plain_ticks(axes.xaxis, isos[:: math.ceil(len(isos) / _ISOS_LABELLED)])
+    axes.xaxis.set_major_locator(FixedLocator(list(isos[:: math.ceil(len(isos) / _ISOS_LABELLED)])))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(number))
     axes.set_xlim(isos[0] / 1.4, isos[-1] * 1.4)
 
 

@@ -9,19 +9,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.numbers import counted
-from eldata.reports.calibration_iso import (
-    bias_plot,
-    estimated,
-    line_spectrum_plot,
-    ppcc_plot,
-    read_noise_plots,
-    reproduced_pictures,
-    reproduced_plot,
-    rows_plot,
-    shading_pictures,
-    spectrum_picture,
-    transfer_plot,
-)
+from eldata.reports import calibration_iso as drawn
+from eldata.reports.calibration_iso import estimated
 from eldata.reports.calibration_joint import joint_plots
 from eldata.reports.html import digits, grouped, measured, rendered, typeset
 
@@ -241,7 +230,7 @@ def _gain(one: IsoGain) -> dict[str, Any]:
         ("Flat frames", str(transfer.frames)),
         ("Area left out", f"{transfer.left_out:.1%}"),
     ]
-    return _group(one, title, numbers, "gain", plots=[transfer_plot(one, transfer)])
+    return _group(one, title, numbers, "gain", plots=[drawn.transfer_plot(one, transfer)])
 
 
 def _colour_bias(one: IsoCalibration) -> dict[str, Any]:
@@ -251,7 +240,9 @@ def _colour_bias(one: IsoCalibration) -> dict[str, Any]:
         ("Recorded black", f"{_and([f'{level:g}' for level in blacks])} DN"),
         ("Bias frames", str(one.bias.frames)),
     ]
-    return _group(one, "Colour bias", numbers, "colour bias", plots=[] if bias is None else [bias_plot(one, bias)])
+    return _group(
+        one, "Colour bias", numbers, "colour bias", plots=[] if bias is None else [drawn.bias_plot(one, bias)]
+    )
 
 
 def _rows(one: IsoCalibration) -> dict[str, Any]:
@@ -263,7 +254,10 @@ def _rows(one: IsoCalibration) -> dict[str, Any]:
         ("Shapiro-Wilk p", digits(rows.shapiro_p, 2)),
         ("Excess kurtosis", digits(rows.excess_kurtosis, 2)),
     ]
-    plots, pictures = [rows_plot(one), line_spectrum_plot(one)], [spectrum_picture(one)]
+    plots, pictures = (
+        [drawn.rows_plot(one), drawn.line_spectrum_plot(one)],
+        [drawn.spectrum_picture(one)],
+    )
     return _group(one, "Row noise", numbers, "row noise", plots=plots, pictures=pictures)
 
 
@@ -273,8 +267,8 @@ def _read_noise(one: IsoCalibration) -> dict[str, Any]:
     if one.read is not None and one.plot is not None:
         numbers = [*_figures(one, _READ_NOISE), ("Residuals", grouped(one.read.residuals))]
         shape = one.tukey_lambda
-        plots = [] if shape is None else [ppcc_plot(one, one.read, shape)]
-        plots += read_noise_plots(one, one.read, one.plot)
+        plots = [] if shape is None else [drawn.ppcc_plot(one, one.read, shape)]
+        plots += drawn.read_noise_plots(one, one.read, one.plot)
     return _group(one, "Read noise", numbers, "shape", "read noise", plots=plots)
 
 
@@ -294,7 +288,13 @@ def _reproduction(one: IsoCalibration) -> dict[str, Any]:
         ("Row means, σ real", f"{digits(kept.row_sigma_real_dn)} DN"),
         ("Row means, σ simulated", f"{digits(kept.row_sigma_simulated_dn)} DN"),
     ]
-    return _group(one, title, numbers, plots=[reproduced_plot(one, kept)], pictures=[reproduced_pictures(one, kept)])
+    return _group(
+        one,
+        title,
+        numbers,
+        plots=[drawn.reproduced_plot(one, kept)],
+        pictures=[drawn.reproduced_pictures(one, kept)],
+    )
 
 
 def _pattern(one: IsoCalibration) -> dict[str, Any]:
@@ -306,4 +306,4 @@ def _pattern(one: IsoCalibration) -> dict[str, Any]:
         ("Never changing", grouped(pattern.stuck)),
         *_by_channel("DSNU of {}", one, [measured(*values, "DN") for values in uneven]),
     ]
-    return _group(one, "What stays from frame to frame", numbers, pictures=[shading_pictures(one)])
+    return _group(one, "What stays from frame to frame", numbers, pictures=[drawn.shading_pictures(one)])

@@ -332,17 +332,12 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
         axes.set_xlabel(f"{short(first)} [dB]", parse_math=False)
         axes.set_ylabel("difference [dB]")
 
-    better = sum(gain > 0 for _, _, gain in gains)
-    low, high = min(gain for _, _, gain in gains), max(gain for _, _, gain in gains)
-    words: dict[str, object] = {
-        "first": first,
-        "other": other,
-        "better": better,
-        "count": len(finite),
-        "unit": kind.unit,
-    }
-    words |= {"Unit": kind.unit.capitalize(), "units": kind.units, "Units": kind.units.capitalize()}
-    said = {
+    differences = [gain for _, _, gain in gains]
+    better, low, high = sum(gain > 0 for gain in differences), min(differences), max(differences)
+    words: dict[str, object] = {"first": first, "other": other, "better": better, "count": len(finite)}
+    words |= {"unit": kind.unit, "units": kind.units}
+    words |= {name.capitalize(): text.capitalize() for name, text in (("unit", kind.unit), ("units", kind.units))}
+    drawings = {
         "gain-groups": (f"Mean difference of PSNR, {other} minus {first}, of {len(groups)} groups.", draw_groups),
         "gain-scatter": (
             f"PSNR of {other} against that of {first} on {len(finite)} {kind.units}; it is higher on {better}.",
@@ -354,5 +349,6 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
         ),
     }
     return tuple(
-        draw_plot("compare", name, alt, draw, name=f"{name}-{index}", words=words) for name, (alt, draw) in said.items()
+        draw_plot("compare", name, alt, draw, name=f"{name}-{index}", words=words)
+        for name, (alt, draw) in drawings.items()
     )

@@ -21,7 +21,6 @@ from eldata.evaluation.results import saved_result
 from eldata.isp.preview import brightening, preview
 from eldata.plots.axes import drawable
 from eldata.protocols.digests import fields_digest
-from eldata.protocols.kinds import IMAGES
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
 from eldata.reports import pictures
@@ -165,14 +164,6 @@ def test_intervals_over_scenes_are_in_the_table() -> None:
         assert f"<td>{interval.low:.2f} to {interval.high:.2f}</td>" in text
 
 
-def test_one_camera_has_a_column_for_each_factor() -> None:
-    one = result(cameras=["Sony"], ratios=[100, 250, 300], protocol="sid", dataset="sid-sony")
-    assert one.paper_table.header == ("Sony", "x100", "x250", "x300", "all")
-    text = evaluation_page(one, NOTHING)
-    assert text.count('<th scope="row">95% interval</th>') == 2
-    assert '<th scope="col">×250</th>' in text
-
-
 def test_incomplete_says_so_and_lists_what_is_missing(hostile: str) -> None:
     text = checked(hostile).text
     assert "Incomplete: 96 of 99 pairs" in text
@@ -211,25 +202,6 @@ def test_wrong_exposure_shows() -> None:
     assert "from 4 to 4" in plots["rescaling"].alt
     assert plots["rescaling"].light != plots["rescaling"].dark
     assert score_plots((), one.kind, rescaled=True, scenes_shared=True) == ()
-
-
-def test_long_names_of_cameras_are_turned_and_come_in_the_papers_order() -> None:
-    """Side by side, CanonEOS70D and CanonEOS700D touch; those of the demo do not."""
-    names = ("CanonEOS700D", "CanonEOS70D", "NikonD850", "SonyA7S2")
-    text = evaluation_page(result(cameras=names), NOTHING)
-    plots = {
-        plot.name: plot for plot in score_plots(result(cameras=names).scores, IMAGES, rescaled=True, scenes_shared=True)
-    }
-    assert b"rotate(-25)" in plots["psnr-camera"].light
-    assert b"rotate(-25)" not in plots["psnr-iso"].light
-    few = {
-        plot.name: plot
-        for plot in score_plots(result(cameras=names[2:]).scores, IMAGES, rescaled=True, scenes_shared=True)
-    }
-    assert b"rotate(-25)" not in few["psnr-camera"].light
-    rows = re.findall(r'<th scope="row">(?:<a[^>]*>)?([^<]+)/scene-(\d+)/', text)
-    assert [name for name, _ in dict.fromkeys((name, "") for name, _ in rows)] == list(reversed(names))
-    assert [int(scene) for name, scene in rows if name == "SonyA7S2"] == sorted(6 * [*range(1, 9)])
 
 
 def test_names_that_the_font_lacks_are_boxes() -> None:
@@ -329,17 +301,6 @@ def test_a_crop_comes_with_the_whole(
     assert "the centre 24 × 16 packed pixels" in checked(text).text
     assert "left: 25.00%; top: 25.00%; width: 50.00%; height: 50.00%" in text
     assert_well_formed(text)
-
-
-def test_the_input_as_a_baseline(tree: Tree, tmp_path: Path) -> None:
-    one = evaluate(None, **tree.where, baseline="input")
-    shown = show_images(worst_and_best_images(one, EACH, dataset_folder=tree.files, predictions=None))
-    for _, score, image in shown:
-        if abs(score.rescale - 1) < 0.02:
-            assert np.abs(pixels(image.layers["input"]) - pixels(image.layers["method-1"])).mean() < 3
-        assert len(image.layers) == 4
-    write_evaluation_page(one, tmp_path / "a.html", dataset_folder=tree.files, predictions=None)
-    assert "The input itself on eld-demo" in (tmp_path / "a.html").read_text(encoding="utf-8")
 
 
 def test_renderings_are_shown_as_they_are(tree: Tree, tmp_path: Path) -> None:

@@ -76,15 +76,8 @@ class NetworkDenoiser:
             frames, side = (self.window,) if self.window > 1 else (), self.multiple * -(-_SIDE // self.multiple)
             shapes = {count: (*frames, count, side, side) for count in channels}
             known[ANSWERS] = {str(count): answer_of(self.run, shape, self.precision) for count, shape in shapes.items()}
-        return {
-            **self.identity,
-            "tile": self.tile,
-            "overlap": self.overlap,
-            "multiple": self.multiple,
-            "precision": self.precision,
-            "window": self.window,
-            **known,
-        }
+        options = {name: getattr(self, name) for name in ("tile", "overlap", "multiple", "precision", "window")}
+        return {**self.identity, **options, **known}
 
     def __call__(self, frame: NoisyFrame) -> Values:
         """Return the network's prediction of a frame."""

@@ -93,12 +93,7 @@ def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
     """Return the page; the same result and pictures give the same text."""
     kind = result.kind
     ids = {score.path: f"picture-{index}" for index, (_, score, _) in enumerate(shown, start=1)}
-    plots = score_plots(
-        scores_in_order(result.scores, result.dataset),
-        kind,
-        rescaled=result.rescales,
-        scenes_shared=result.scenes_shared,
-    )
+    plots = score_plots(result)
     sections = [("means", "Means")]
     sections += [("distributions", "Distributions")] if plots else []
     sections += [("pictures", "Worst and best")] if shown else []
@@ -109,10 +104,7 @@ def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
         result=result,
         title=f"{_method(result)} on {result.dataset}",
         subtitle=f"Protocol {result.protocol.name} ({short_digest(result.digest)}): {result.protocol.title}",
-        remarks=[
-            *map(str, result.suspicions),
-            *(note[:1].upper() + note[1:] for note in result.notes),
-        ],
+        remarks=[*map(str, result.suspicions), *(note[:1].upper() + note[1:] for note in result.notes)],
         tiles=_tiles(result),
         sections=[*sections, ("provenance", "Provenance")],
         table=table_with_intervals(result),
@@ -302,22 +294,25 @@ def _viewer(name: str, score: UnitScore, image: DrawnImage, result: EvaluationRe
 # --- plots of scores, one by one: by camera, ISO and factor, and the rescaling that was found ------------------------
 
 
-def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool, scenes_shared: bool) -> tuple[Plot, ...]:
-    """Return the plots of a result; none of no scores. Those of the rescaling only if the protocol rescales."""
-    finite = [score for score in scores if all(math.isfinite(score.values[one.name]) for one in kind.metrics)]
+def score_plots(result: EvaluationResult) -> tuple[Plot, ...]:
+    """Draw the scores of a result, if there are any; the rescaling only if its protocol rescales."""
+    kind, shared = result.kind, result.scenes_shared
+    scores = scores_in_order(result.scores, result.dataset)
+    finite = [score for score in scores if all(math.isfinite(score.values[metric.name]) for metric in kind.metrics)]
     if not finite:
         return ()
     left_out = len(scores) - len(finite)
     note = f" Not drawn: {left_out} without a finite score." if left_out else ""
     groupings: tuple[Grouping, ...] = ("camera", "iso") if any(score.iso for score in finite) else ("camera",)
     plots = [
-        _strips_plot(metric, strips_of(finite, by, metric.name, scenes_shared=scenes_shared), by, kind, note)
+        _strips_plot(metric, strips_of(finite, by, metric.name, scenes_shared=shared), by, kind, note)
         for by in groupings
         for metric in kind.metrics
     ]
     positive = [score for score in finite if math.isfinite(score.rescale) and score.rescale > 0]
-    if rescaled and positive:
-        plots += _rescaling_plots(positive, kind, scenes_shared=scenes_shared)
+    if result.rescales and positive:
+        columns = strips_of(positive, "camera", "rescale", scenes_shared=shared, mean=False)
+        plots += _rescaling_plots(positive, columns, kind.units)
     return tuple(plots)
 
 
@@ -340,9 +335,8 @@ def _strips_plot(metric: Figure, drawn: Sequence[Strip], by: Grouping, kind: Kin
     return draw_plot("evaluation", "by-group", alt, draw, name=name, words=words)
 
 
-def _rescaling_plots(scores: Sequence[UnitScore], kind: Kind, *, scenes_shared: bool) -> tuple[Plot, Plot]:
+def _rescaling_plots(scores: Sequence[UnitScore], drawn: Sequence[Strip], units: str) -> tuple[Plot, Plot]:
     """Draw the factors by camera, and the PSNR over them."""
-    drawn = strips_of(scores, "camera", "rescale", scenes_shared=scenes_shared, mean=False)
     factors = [score.rescale for score in scores]
     points = [(score.ratio, score.rescale, score.psnr_db) for score in scores]
 
@@ -359,10 +353,10 @@ def _rescaling_plots(scores: Sequence[UnitScore], kind: Kind, *, scenes_shared: 
         axes.set(xlabel="rescaled by", ylabel="PSNR [dB]")
 
     alt = f"Factor of each of {len(factors)} predictions by camera, from {min(factors):.3g} to {max(factors):.3g}."
-    over = f"PSNR of {len(scores)} {kind.units} against the factor that each prediction was multiplied by."
+    over = f"PSNR of {len(scores)} {units} against the factor that each prediction was multiplied by."
     return (
-        draw_plot("evaluation", "rescaling", alt, draw_factors, words={"units": kind.units}),
-        draw_plot("evaluation", "rescaling-psnr", over, draw_scores, words={"units": kind.units}),
+        draw_plot("evaluation", "rescaling", alt, draw_factors, words={"units": units}),
+        draw_plot("evaluation", "rescaling-psnr", over, draw_scores, words={"units": units}),
     )
 
 

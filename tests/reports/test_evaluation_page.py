@@ -198,10 +198,10 @@ def test_the_same_page_each_time(
 def test_wrong_exposure_shows() -> None:
     one = result()
     dark = tuple(replace(image, values=image.values | {"rescale": 4.0}) for image in one.images)
-    plots = {plot.name: plot for plot in score_plots(dark, one.kind, rescaled=True, scenes_shared=True)}
+    plots = {plot.name: plot for plot in score_plots(replace(one, scores=dark))}
     assert "from 4 to 4" in plots["rescaling"].alt
     assert plots["rescaling"].light != plots["rescaling"].dark
-    assert score_plots((), one.kind, rescaled=True, scenes_shared=True) == ()
+    assert score_plots(replace(one, scores=())) == ()
 
 
 def test_names_that_the_font_lacks_are_boxes() -> None:

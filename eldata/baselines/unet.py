@@ -229,9 +229,7 @@ class NoiseAwareUNet(nn.Module):
         draw_weights(self, seed)
         for last in (self.last, *(block.second for block in self.modules() if isinstance(block, _Block))):
             nn.init.zeros_(last.weight)
-        both = torch.kron(
-            torch.tensor(decorrelation(4), dtype=torch.float32), torch.from_numpy(hadamard(4, np.float32)) / 2
-        )
+        both = torch.kron(torch.tensor(_COLOURS), torch.from_numpy(hadamard(4, np.float32)) / 2)
         self.register_buffer("_matrix", both, persistent=False)
 
     def forward(self, noisy: torch.Tensor, slope: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:

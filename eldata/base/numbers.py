@@ -1,7 +1,7 @@
 """Numbers: of callers, text and JSON, bounded before they are parsed; and figures, which have a name and a unit.
 
 A figure is declared once. Tables, pages, drawings, files and help read the declaration. Drawings are another thing:
-:mod:`eldata.plots` and :mod:`eldata.reports.figures`.
+:mod:`eldata.plots` and :mod:`eldata.reports.html`.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ frame: with ratio r and white - black of w DN, slope ``K r / w`` and offset ``(s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import version
@@ -217,15 +217,9 @@ _SIZE = 8
 _STEP = 2
 _THRESHOLD = 2.7
 
+_ROOT = 0.5**0.5
 # Orthonormal, from R, G1, B, G2: brightness and three differences.
-_BAYER = np.array(
-    [
-        [0.5, 0.5, 0.5, 0.5],
-        [0.5, -0.5, 0.5, -0.5],
-        [0.5**0.5, 0, -(0.5**0.5), 0],
-        [0, 0.5**0.5, 0, -(0.5**0.5)],
-    ]
-)
+_BAYER = np.array([[0.5, 0.5, 0.5, 0.5], [0.5, -0.5, 0.5, -0.5], [_ROOT, 0, -_ROOT, 0], [0, _ROOT, 0, -_ROOT]])
 
 
 def decorrelation(channels: int) -> Values:
@@ -291,105 +285,94 @@ class Baseline:
     ----------
     title
         What it does, in a line.
-    denoise
+    function
         (C, h, w) and the line of its noise to (C, h, w).
     uses_noise
         Whether it looks at the noise at all.
-    needs
-        The packages that it needs beyond those of eldata, by the modules that it imports.
+    needs_bm3d
+        Whether it needs the package ``bm3d``.
     has_weights
         Whether it was trained: then the hash of its weights is part of what decides its predictions.
     """
 
     title: str
-    denoise: Callable[[Values, SignalNoise | None], Values]
+    function: Callable[[Values, Any], Values]
     uses_noise: bool = True
-    needs: Mapping[str, str] = field(default_factory=dict)
+    needs_bm3d: bool = False
     has_weights: bool = False
 
+    def denoise(self, image: Values, line: SignalNoise | None) -> Values:
+        """Denoise a frame (C, h, w).
+
+        Raises
+        ------
+        ArgumentError
+            If it needs the line of the noise and there is none.
+        """
+        if self.uses_noise and line is None:
+            raise ArgumentError("this baseline needs the line of the frame's noise")
+        return self.function(image, line)
+
     def versions(self) -> dict[str, str]:
-        """Return the versions of the packages that it needs, and the hash of its weights.
+        """Name what decides its predictions: the version of the package that it needs, the hash of its weights.
 
         Raises
         ------
         EldataError
-            If one of them is not there; the message names the extra to install.
+            If the package is not there; the message names the extra to install.
         """
-        for module in self.needs:
-            _imported(module)
-        found = {package: version(package) for package in self.needs.values()}
+        if self.needs_bm3d:
+            _import_bm3d()
+            return {"bm3d": version("bm3d")}
         if self.has_weights:
             from eldata.baselines.unet import weights_digest
 
-            found["weights_sha256"] = weights_digest()
-        return found
+            return {"weights_sha256": weights_digest()}
+        return {}
 
 
-_BM3D = {"bm3d": "bm3d"}
-_NO_BM3D = "BM3D is not installed: pip install 'eldata[bm3d]'. Its authors allow it for non-commercial use only"
-
-
-def _imported(module: str) -> Any:
+def _import_bm3d() -> Any:
     try:
-        return import_module(module)
+        return import_module("bm3d")
     except ImportError as error:
-        raise EldataError(_NO_BM3D) from error
+        raise EldataError(
+            "BM3D is not installed: pip install 'eldata[bm3d]'. Its authors allow it for non-commercial use only"
+        ) from error
 
 
-def _known(line: SignalNoise | None) -> SignalNoise:
-    if line is None:
-        raise ArgumentError("this baseline needs the line of the frame's noise")
-    return line
+def _bm3d(image: Values, line: SignalNoise) -> Values:
+    """Denoise with one standard deviation for the whole frame, the root of its mean variance, as the method assumes."""
+    deviation = float(np.sqrt(np.mean(line.variance(image))))
+    return _bm3d_of_white(image / deviation) * deviation
 
 
-def _input(image: Values, _: SignalNoise | None) -> Values:
-    return image
-
-
-def _dct(image: Values, line: SignalNoise | None) -> Values:
-    return dct_thresholded(image, _known(line))
-
-
-def _bm3d(image: Values, line: SignalNoise | None) -> Values:
-    """One standard deviation for the whole frame, the root of its mean variance, as the method assumes."""
-    signal = np.maximum(image, 0.0)
-    deviation = float(np.sqrt(np.mean(_known(line).variance(signal))))
-    return _in_brightness(image / deviation, _bm3d_of_white) * deviation
-
-
-def _anscombe_bm3d(image: Values, line: SignalNoise | None) -> Values:
-    line = _known(line)
-    return unstabilised(_in_brightness(stabilised(image, line), _bm3d_of_white), line)
+def _anscombe_bm3d(image: Values, line: SignalNoise) -> Values:
+    return unstabilised(_bm3d_of_white(stabilised(image, line)), line)
 
 
 def _bm3d_of_white(image: Values) -> Values:
-    bm3d = _imported("bm3d")
-    last = np.ascontiguousarray(np.moveaxis(image, 0, -1), dtype=np.float64)
+    """Denoise brightness and differences of colour, in which white noise stays white."""
+    bm3d, matrix = _import_bm3d(), decorrelation(len(image))
+    last = np.ascontiguousarray(np.moveaxis(np.tensordot(matrix, image, axes=1), 0, -1), dtype=np.float64)
     profile = bm3d.BM3DProfile()
     profile.num_threads = 1  # frames run side by side
-    return np.moveaxis(np.asarray(bm3d.bm3d(last, 1.0, profile)), -1, 0)
+    denoised = np.moveaxis(np.asarray(bm3d.bm3d(last, 1.0, profile)), -1, 0)
+    return np.asarray(np.tensordot(matrix.T, denoised, axes=1))
 
 
-def _network(image: Values, line: SignalNoise | None) -> Values:
+def _network(image: Values, line: SignalNoise) -> Values:
     from eldata.baselines.unet import remove_noise
 
-    line = _known(line)
     return remove_noise(image, line.slope, line.offset, line.black)
-
-
-def _in_brightness(image: Values, denoise: Callable[[Values], Values]) -> Values:
-    """Denoise brightness and differences of colour, in which white noise stays white."""
-    matrix = decorrelation(len(image))
-    return np.asarray(np.tensordot(matrix.T, denoise(np.tensordot(matrix, image, axes=1)), axes=1))
 
 
 BASELINES: Mapping[str, Baseline] = MappingProxyType(
     {
-        "input": Baseline("the noisy input, amplified, nothing else", _input, uses_noise=False),
-        "dct": Baseline("sliding-window DCT thresholding", _dct),
-        "bm3d": Baseline("BM3D with one noise level for the frame", _bm3d, needs=_BM3D),
+        "input": Baseline("the noisy input, amplified, nothing else", lambda image, _: image, uses_noise=False),
+        "dct": Baseline("sliding-window DCT thresholding", dct_thresholded),
+        "bm3d": Baseline("BM3D with one noise level for the frame", _bm3d, needs_bm3d=True),
         "anscombe-bm3d": Baseline(
-            "BM3D of stabilised values, exact unbiased inverse (A-BM3D)", _anscombe_bm3d, needs=_BM3D
+            "BM3D of stabilised values, exact unbiased inverse (A-BM3D)", _anscombe_bm3d, needs_bm3d=True
         ),
         "network": Baseline("the network that ships, told the noise", _network, has_weights=True),
     }

@@ -76,15 +76,8 @@ class NetworkDenoiser:
             frames, side = (self.window,) if self.window > 1 else (), self.multiple * -(-_SIDE // self.multiple)
             shapes = {count: (*frames, count, side, side) for count in channels}
             known[ANSWERS] = {str(count): answer_of(self.run, shape, self.precision) for count, shape in shapes.items()}
-        return {
-            **self.identity,
-            "tile": self.tile,
-            "overlap": self.overlap,
-            "multiple": self.multiple,
-            "precision": self.precision,
-            "window": self.window,
-            **known,
-        }
+        options = {name: getattr(self, name) for name in ("tile", "overlap", "multiple", "precision", "window")}
+        return {**self.identity, **options, **known}
 
     def __call__(self, frame: NoisyFrame) -> Values:
         """Return the network's prediction of a frame."""
@@ -123,10 +116,7 @@ class _TorchRun:
         except Exception as error:
             advice = "; take smaller tiles (--tile)" if isinstance(error, torch.OutOfMemoryError) else ""
             raise EldataError(_failed(image, error) + advice) from error
-        if not isinstance(made, torch.Tensor) or made.ndim != 4 or len(made) != 1:
-            found = f"{tuple(made.shape)}" if isinstance(made, torch.Tensor) else type(made).__name__
-            raise EldataError(f"the network is to make (1, C, h, w) of {tuple(numbers.shape)}; it made {found}")
-        return np.asarray(made[0].float().cpu().numpy())
+        return _only(made.float().cpu().numpy() if isinstance(made, torch.Tensor) else made, image)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,9 +128,15 @@ class _OnnxRun:
             made = self.session.run(None, {self.session.get_inputs()[0].name: image[None]})[0]
         except Exception as error:  # ONNX Runtime's own classes, without a common base
             raise EldataError(_failed(image, error)) from error
-        if made.ndim != 4 or len(made) != 1:
-            raise EldataError(f"the network is to make (1, C, h, w) of {(1, *image.shape)}; it made {made.shape}")
-        return np.asarray(made[0])
+        return _only(made, image)
+
+
+def _only(made: Any, image: NDArray[np.float32]) -> Values:
+    """Take the one image that a network was to make of one."""
+    if not isinstance(made, np.ndarray) or made.ndim != 4 or len(made) != 1:
+        found = getattr(made, "shape", type(made).__name__)
+        raise EldataError(f"the network is to make (1, C, h, w) of {(1, *image.shape)}; it made {found}")
+    return np.asarray(made[0])
 
 
 def load_network(
@@ -243,17 +239,14 @@ def _stated(module: Any, name: str) -> int | None:
 
 
 def _agreed(model: str, taken: TakenInput, window: int | None, multiple: int | None) -> tuple[int, int]:
-    """Return the window and the multiple: those of the network, which the wanted ones must not contradict."""
+    """Settle the window and the multiple; wanted ones must not contradict the network's."""
     if taken.window is not None and window not in (None, taken.window):
-        raise ArgumentError(
-            f"{model} takes windows of {taken.window} frames, by its own account; found --window {window}: leave it out"
-        )
-    if taken.multiple is not None and multiple is not None and multiple % taken.multiple:
-        raise ArgumentError(
-            f"{model} takes sides that are multiples of {taken.multiple}, by its own account; found --multiple "
-            f"{multiple}: leave it out"
-        )
-    return checked_window(window or taken.window or 1), multiple or taken.multiple or 16
+        what, option = f"windows of {taken.window} frames", f"--window {window}"
+    elif taken.multiple is not None and multiple is not None and multiple % taken.multiple:
+        what, option = f"sides that are multiples of {taken.multiple}", f"--multiple {multiple}"
+    else:
+        return checked_window(window or taken.window or 1), multiple or taken.multiple or 16
+    raise ArgumentError(f"{model} takes {what}, by its own account; found {option}: leave it out")
 
 
 def _ready(function: Any, device: str) -> Callable[..., Any]:
@@ -278,14 +271,8 @@ def _scripted(path: Path) -> Any:
             raise FileError(
                 path,
                 "is not TorchScript. If it is a checkpoint, give the code that it belongs to: "
-                f"eldata predict package.module:Network --weights {path.name}{_of_script(error)}",
+                f"eldata predict package.module:Network --weights {path.name} ({first_line(error)})",
             ) from error
-
-
-def _of_script(error: RuntimeError) -> str:
-    """Return what torch says besides that its archive is not one, which is a fault of ours in its words."""
-    reason = first_line(error)
-    return "" if "internal miniz error" in reason else f" ({reason})"
 
 
 def _onnx(path: Path, device: str) -> Any:
@@ -293,9 +280,7 @@ def _onnx(path: Path, device: str) -> Any:
         import onnxruntime
     except ImportError as error:
         raise EldataError(f"{path}: ONNX Runtime is not installed: pip install 'eldata[onnx]'") from error
-    wanted = (
-        ["CUDAExecutionProvider", "CPUExecutionProvider"] if device.startswith("cuda") else ["CPUExecutionProvider"]
-    )
+    wanted = [*(["CUDAExecutionProvider"] if device.startswith("cuda") else []), "CPUExecutionProvider"]
     missing = set(wanted) - set(onnxruntime.get_available_providers())
     if missing:
         raise ArgumentError(

@@ -69,13 +69,6 @@ class NoiseLine:
         # A line fitted to bright parts alone may cross 0 before black.
         return np.asarray(np.maximum(self.offset + max(self.slope, 0.0) * signal, self.least_variance / 4))
 
-    def is_near(self, other: NoiseLine) -> bool:
-        """Return whether another line is the same, to a few thousandths."""
-        return all(
-            abs(mine - its) <= _SETTLED * abs(mine)
-            for mine, its in ((self.slope, other.slope), (self.offset, other.offset))
-        )
-
 
 def noise_line(packed: Values) -> NoiseLine:
     """Estimate the line from a frame itself, whose noise is independent from pixel to pixel.
@@ -113,7 +106,8 @@ def noise_line(packed: Values) -> NoiseLine:
         smooth = excess < within
         _check_found(smooth)
         before, line = line, windows.fit(smooth, line, windows.highest)
-        if line.is_near(before):
+        changes = ((line.slope, before.slope), (line.offset, before.offset))
+        if all(abs(now - then) <= _SETTLED * abs(now) for now, then in changes):
             break
     excess = windows.excess(line)
     smooth = excess < within

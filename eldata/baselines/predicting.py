@@ -26,7 +26,6 @@ from eldata.manifest.clips import clips_of, setting_name
 from eldata.manifest.patterns import expand
 from eldata.noise.profile import profile_of
 from eldata.protocols.kinds import IMAGES
-from eldata.protocols.named import protocols_for
 from eldata.protocols.words import in_words
 
 if TYPE_CHECKING:
@@ -262,17 +261,16 @@ def write_predictions(
                 remove_leftovers(place)
         units = _units(request, pairs, folder)
         missing = [_file_of(folder, unit.pair, path) for unit in units for path in unit.missing]
-        others = " or ".join(_of_other_channels(request, chosen))
-        work = _Prediction(denoiser, request.files, folder, chosen, wanted_clip, dtype, request.dark_shading, others)
-        outcomes = request.workers.attempt(work, units, label="denoising", unit=_unit_name(request))
+        work = _Prediction(denoiser, request.files, folder, chosen, wanted_clip, dtype, request.dark_shading)
+        what = "frame" if request.kind is IMAGES else "clip"
+        outcomes = request.workers.attempt(work, units, label="denoising", unit=what)
         failed: dict[str, list[str]] = {}
-        for one in outcomes:
-            if isinstance(one, Failed):
-                failed.setdefault(one.reason, []).append(one.unit.path)
+        for outcome in outcomes:
+            if isinstance(outcome, Failed):
+                failed.setdefault(outcome.reason, []).append(outcome.unit.path)
         written = sum(file.exists() for file in missing)
-    several = f"{_unit_name(request)}s"
     problems = tuple(
-        f"{paths[0]}: {reason}" if len(paths) == 1 else f"{len(paths)} {several}, such as {paths[0]}: {reason}"
+        f"{paths[0]}: {reason}" if len(paths) == 1 else f"{len(paths)} {what}s, such as {paths[0]}: {reason}"
         for reason, paths in failed.items()
     )
     return PredictionReport(folder, written, len(every) - len(missing), problems, _remarks(stated, cameras))
@@ -287,16 +285,6 @@ def _remarks(settings: dict[str, Any], cameras: Sequence[str]) -> tuple[str, ...
         if without:
             remarks.append(f"the noise of {known} was taken for frames of {', '.join(without)}, another camera")
     return (*remarks, *remarks_on(settings.get(ANSWERS, {})))
-
-
-def _of_other_channels(request: Request, chosen: ScoringProtocol) -> list[str]:
-    """Return the protocols that score in sRGB what this one does not take: raw predictions or those in sRGB."""
-    known = [one for one in protocols_for(request.manifest.name) if one.rendering == "eld-isp"]
-    return [one.name for one in known if one.pixels != chosen.pixels]
-
-
-def _unit_name(request: Request) -> str:
-    return "frame" if request.kind is IMAGES else "clip"
 
 
 def _units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]:
@@ -344,7 +332,6 @@ class _Prediction:
     clip: ClipRange
     dtype: PixelType
     dark_shading: Path | None
-    others: str
 
     def __call__(self, unit: _Unit) -> None:
         pair = unit.pair
@@ -353,22 +340,15 @@ class _Prediction:
         for path in unit.missing:
             frame = frames.frame(path)
             predicted = np.asarray(self.denoiser(frame))
-            self._check_shape(predicted.shape, frame.image.shape)
+            expected = (3 if self.protocol.pixels == "srgb" else len(frame.image), *frame.image.shape[1:])
+            if predicted.shape != expected:
+                raise DatasetError(
+                    f"the denoiser made {predicted.shape} of a frame of {frame.image.shape}; protocol "
+                    f"{self.protocol.name} takes {expected}"
+                )
             unusable = int(np.count_nonzero(~np.isfinite(predicted)))
             if unusable:
                 raise DatasetError(f"the denoiser made {unusable} of {predicted.size} values NaN or infinite")
             if self.dtype == "uint16":
                 predicted = np.rint(np.clip(predicted, 0.0, 1.0) * 65535)
             save_prediction(self.out, pair.place(path), predicted.astype(self.dtype))
-
-    def _check_shape(self, made: tuple[int, ...], given: tuple[int, ...]) -> None:
-        """Raise :class:`DatasetError` unless a prediction has the channels of the protocol, and the frame's size."""
-        channels = {True: 3, False: given[0]}
-        is_srgb = self.protocol.pixels == "srgb"
-        if made == (channels[is_srgb], *given[1:]):
-            return
-        advice = "it has to keep the shape"
-        if made == (channels[not is_srgb], *given[1:]):
-            takers = self.others or "none of this set: eldata protocols lists all"
-            advice = f"protocol {self.protocol.name} takes {channels[is_srgb]} channels, and such are for {takers}"
-        raise DatasetError(f"the denoiser made {made} of a frame of {given}; {advice}")

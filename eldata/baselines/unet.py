@@ -165,13 +165,9 @@ def save_weights(network: nn.Module, path: Path) -> None:
 
 _NOISE_AWARE = "noise_aware.safetensors"
 _TILE, _OVERLAP = 1024, 256  # packed pixels; a quarter of the overlap is as far as the network sees
+_ROOT = 0.5**0.5
 # Orthonormal, so that white noise stays white: from R, G1, B, G2, brightness and three differences.
-_COLOURS = (
-    (0.5, 0.5, 0.5, 0.5),
-    (0.5, -0.5, 0.5, -0.5),
-    (0.5**0.5, 0.0, -(0.5**0.5), 0.0),
-    (0.0, 0.5**0.5, 0.0, -(0.5**0.5)),
-)
+_COLOURS = ((0.5, 0.5, 0.5, 0.5), (0.5, -0.5, 0.5, -0.5), (_ROOT, 0.0, -_ROOT, 0.0), (0.0, _ROOT, 0.0, -_ROOT))
 _SOFT = 8.0  # standard deviations of noise up to which details are about linear
 _REACH = 5  # of the mean that is taken off, in pixels of the halved image
 
@@ -309,7 +305,7 @@ def remove_noise(image: Values, slope: float, offset: float, black: tuple[float,
     FileError
         If the weights are not there or not its own: the installation is damaged.
     """
-    if len(image) != len(_COLOURS):
+    if len(image) != 4:
         raise DatasetError(
             f"the network takes packed Bayer frames of 4 channels; found {len(image)}: take dct or anscombe-bm3d"
         )

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from eldata.calibration.joint import FittedMode, LogLogEstimate
     from eldata.manifest.verify_report import Problem
     from eldata.noise.profile import CameraProfile, GainMode
-    from eldata.plots.axes import Drawing, Theme
-    from eldata.plots.gains import Point
+    from eldata.plots.axes import Drawing, Fit, Point, Theme
 
     Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
@@ -271,8 +270,15 @@ class Calibration:
         ArgumentError
             If there is no photon transfer at the ISO, or nothing to draw at all.
         """
-        from eldata.plots.axes import drawn_grid, nothing_to_draw
-        from eldata.plots.gains import bar, gain_over_iso, iso_axis, scale_over_gain, transfer_lines
+        from eldata.plots.axes import (
+            bar,
+            drawn_grid,
+            gain_over_iso,
+            iso_axis,
+            nothing_to_draw,
+            scale_over_gain,
+            transfer_lines,
+        )
 
         transfers = {one.iso: (one.channels, one.transfer) for one in self.all_isos if one.transfer is not None}
         known = sorted(transfers)
@@ -300,8 +306,7 @@ class Calibration:
         for panel in self.scale_panels:
 
             def draw_scales(axes: Axes, theme: Theme, panel: ScalePanel = panel) -> None:
-                spans = [(line.fit, low, high) for line, low, high in panel.spans]
-                scale_over_gain(axes, panel.name, spans, panel.points, theme)
+                scale_over_gain(axes, panel.name, panel.spans, panel.points, theme)
 
             draws.append(("row noise" if panel.name == "row" else f"read noise, {panel.name}", draw_scales))
         if not draws:
@@ -329,10 +334,10 @@ class ScalePanel:
     points: tuple[Point, ...]
 
     @property
-    def spans(self) -> list[tuple[LogLogEstimate, float, float]]:
+    def spans(self) -> list[Fit]:
         """The lines, each with the lowest and the highest gain of its mode's points."""
-        spans = []
+        spans: list[Fit] = []
         for mode, line in self.lines:
             inside = [gain for gain, _, _ in self.points if mode.distance(gain) == 0]
-            spans.append((line, min(inside), max(inside)))
+            spans.append((line.fit.scale_dn, min(inside), max(inside)))
         return spans

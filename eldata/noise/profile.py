@@ -374,15 +374,15 @@ class CameraProfile:
         ArgumentError
             If there is no such sigma, or ``ax`` is given without one.
         """
-        from eldata.plots.axes import drawn_grid, drawn_into
-        from eldata.plots.gains import scale_over_gain
+        from eldata.plots.axes import drawn_grid, drawn_into, scale_over_gain
 
         def panel(name: Sigma, axes: Axes, theme: Theme) -> None:
             line, field, _ = SIGMAS[name]
-            lines = ((getattr(mode, line), *mode.gain_range_dn_per_e) for mode in self.gain_modes)
+            fits = [(getattr(mode, line), mode.gain_range_dn_per_e) for mode in self.gain_modes]
+            drawn = [(fit.scale_dn, *ends) for fit, ends in fits if fit is not None]
             known = [(row.gain_dn_per_e, getattr(row, field)) for row in self.rows]
             points = [(gain, scale, math.nan) for gain, scale in known if gain is not None and scale]  # no errors
-            scale_over_gain(axes, name, [line for line in lines if line[0] is not None], points, theme)
+            scale_over_gain(axes, name, drawn, points, theme)
 
         if sigma is not None:
             check_choice("sigma", sigma, SIGMAS)

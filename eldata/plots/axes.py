@@ -6,9 +6,10 @@ Figures are made without pyplot, so no window, no global figure list and no back
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import matplotlib.style
 import numpy as np
@@ -26,6 +27,12 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from numpy.typing import NDArray
 
+Point: TypeAlias = tuple[float, float, float]
+"""Gain, scale and the scale's standard error."""
+
+Fit: TypeAlias = tuple["Callable[[float, float], float]", float, float]
+"""A line of ln sigma over ln K, from a gain to a gain: sigma at a gain, so many residual deviations above the line."""
+
 SIZE_INCHES = (4.4, 3.6)
 """About a phone's width at the page's own letter size."""
 
@@ -37,6 +44,8 @@ _POINTS_SHOWN = 161
 _TAIL_SHOWN = 15
 _TICK_LETTERS = 9.5
 _LEGEND_ROW = 14  # points
+_LEVELS_SHOWN = 20  # of a channel; more are pooled
+_ISOS_LABELLED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +63,20 @@ LIGHT = Theme("#1f2933", "#d5dbe1", "#c2410c", "#0b62b8", ("#c81e1e", "#15803d",
 DARK = Theme("#e6eaee", "#434c56", "#ff9d5c", "#6cb6ff", ("#ff7b7b", "#56d364", "#7ab0ff", "#d3d35a"))
 
 
-class LogLogLine(Protocol):
-    """A line of ln sigma over ln K with its spread."""
+class TransferLine(Protocol):
+    """The photon transfer line of one channel, with its points."""
 
-    def scale_dn(self, gain_dn_per_e: float, standard_normal: float) -> float:
-        """Return sigma at a gain, ``standard_normal`` residual deviations above the line."""
+    @property
+    def signal_dn(self) -> NDArray[np.floating[Any]]:
+        """Means of the points over black."""
+
+    def variance_at(self, signal_dn: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+        """Return the line's variance at these signals."""
+
+    def pooled(
+        self, levels: int
+    ) -> tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]], NDArray[np.floating[Any]]]:
+        """Return signal, variance and its standard error of at most so many points."""
 
 
 def styled(theme: Theme, **more: Any) -> AbstractContextManager[None]:
@@ -89,13 +107,6 @@ def log_ticks(axis: Axis, decades: int) -> None:
     axis.set_major_formatter(FuncFormatter(number))
 
 
-def plain_ticks(axis: Axis, at: Sequence[float]) -> None:
-    """Label an axis with plain numbers at these places."""
-    axis.set_major_locator(FixedLocator(list(at)))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(number))
-
-
 def number(value: float, _position: object = None) -> str:
     """Return a number for a tick, with a minus sign."""
     return f"{value:g}".replace("-", "−")
@@ -115,32 +126,6 @@ def deviation_band(axes: Axes, furthest: float, limit: float, theme: Theme) -> N
     axes.set_ylabel("dev. [s.e.]")
 
 
-def fit_bands(axes: Axes, fits: Sequence[tuple[LogLogLine, float, float]], theme: Theme) -> None:
-    """Draw log-log fits from a gain to a gain, with their bands of one and two residual deviations.
-
-    One fit goes on a little beyond its gains. Several are those of gain modes, and end where their modes do.
-    """
-    beyond = 1.15 if len(fits) == 1 else 1.0
-    for number, (fit, low, high) in enumerate(fits):
-        gains = np.geomspace(low / beyond, high * beyond, 50)
-        for width, alpha in ((2.0, 0.13), (1.0, 0.2)):
-            lower, upper = ([fit.scale_dn(float(gain), z) for gain in gains] for z in (-width, width))
-            axes.fill_between(gains, lower, upper, color=theme.theory, alpha=alpha, linewidth=0)
-        # matplotlib leaves labels with an underscore out of the legend: one entry for all.
-        label = "_" if number else "fit, ±1σ, ±2σ"
-        axes.plot(gains, [fit.scale_dn(float(gain), 0.0) for gain in gains], color=theme.theory, label=label)
-
-
-def log_log(axes: Axes, name: str) -> None:
-    """Set up axes of the sigma of that name over the gain."""
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    for axis in (axes.xaxis, axes.yaxis):
-        log_ticks(axis, 2)
-    axes.set_xlabel("K [DN/e⁻]")
-    axes.set_ylabel(rf"$\sigma_\mathrm{{{name}}}$ [DN]")
-
-
 def bars(axes: Axes, at: Sequence[float], values: Sequence[float], errors: Sequence[float], theme: Theme) -> None:
     """Draw measured values with their standard errors."""
     axes.errorbar(at, values, yerr=errors, fmt="o", color=theme.found, capsize=3, label="measured")
@@ -150,21 +135,20 @@ def draw_quantiles(
     axes: Axes,
     theme: Theme,
     *,
-    expected: NDArray[np.floating[Any]],
-    found: NDArray[np.floating[Any]],
+    points: tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]],
     line: tuple[float, float],
     names: tuple[str, str],
     labels: tuple[str, str],
     note: str = "",
 ) -> None:
-    """Draw ordered values over expected quantiles, with a line of a slope and a level.
+    """Draw points (expected quantiles, ordered values), with a line of a slope and a level.
 
     ``names`` are those of the line and the points, ``labels`` those of the axes. The note stands in the lower right
     corner, which rising points leave free.
     """
-    ends = expected[[0, -1]]
+    ends = points[0][[0, -1]]
     axes.plot(ends, line[0] * ends + line[1], color=theme.theory, label=names[0])
-    axes.plot(expected, found, "o", markersize=3, color=theme.found, label=names[1])
+    axes.plot(*points, "o", markersize=3, color=theme.found, label=names[1])
     axes.text(0.98, 0.04, note, transform=axes.transAxes, ha="right", va="bottom", fontsize=9.5)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.legend(loc="upper left")
@@ -194,6 +178,91 @@ def thinned(size: int) -> NDArray[np.int64]:
     """Return which of many ordered values to draw: a few hundred evenly, and the tails in full."""
     tail = np.arange(min(size, _TAIL_SHOWN))
     return np.unique(np.concatenate([evenly(size, _POINTS_SHOWN), tail, size - 1 - tail]))
+
+
+# --- calibrated figures -------------------------------------------------------------------------------------------
+
+
+def scale_over_gain(axes: Axes, name: str, fits: Sequence[Fit], points: Sequence[Point], theme: Theme) -> None:
+    """Draw measured scales over the gain, and fitted lines with bands of one and two residual deviations.
+
+    One line goes on a little beyond its gains. Several are those of gain modes, and end where their modes do.
+    """
+    beyond = 1.15 if len(fits) == 1 else 1.0
+    for place, (scale_at, low, high) in enumerate(fits):
+        gains = np.geomspace(low / beyond, high * beyond, 50)
+        for width, alpha in ((2.0, 0.13), (1.0, 0.2)):
+            lower, upper = ([scale_at(float(gain), z) for gain in gains] for z in (-width, width))
+            axes.fill_between(gains, lower, upper, color=theme.theory, alpha=alpha, linewidth=0)
+        # matplotlib leaves labels with an underscore out of the legend: one entry for all.
+        label = "_" if place else "fit, ±1σ, ±2σ"
+        axes.plot(gains, [scale_at(float(gain), 0.0) for gain in gains], color=theme.theory, label=label)
+    if points:
+        # A bar down to 0 has no end on a logarithmic axis.
+        errors = [bar(min(error, 0.9 * scale)) for _, scale, error in points]
+        bars(axes, [gain for gain, _, _ in points], [scale for _, scale, _ in points], errors, theme)
+    axes.set(xscale="log", yscale="log", xlabel="K [DN/e⁻]", ylabel=rf"$\sigma_\mathrm{{{name}}}$ [DN]")
+    for axis in (axes.xaxis, axes.yaxis):
+        log_ticks(axis, 2)
+    if len(points) == 1:
+        gain, scale, _ = points[0]
+        axes.set(xlim=(gain / 2.2, gain * 2.2), ylim=(scale / 2.2, scale * 2.2))
+    axes.legend(loc="upper left")
+
+
+def bar(error: float) -> float:
+    """Return the length of an error's bar: none of an error that is not known."""
+    return error if math.isfinite(error) and error > 0 else 0.0
+
+
+def gain_over_iso(
+    axes: Axes, isos: Sequence[float], gains: Sequence[float], errors: Sequence[float], usual: float, theme: Theme
+) -> None:
+    """Draw K over the ISO, and the line of the usual K / ISO."""
+    ends = np.array([isos[0] / 1.3, isos[-1] * 1.3])
+    axes.plot(ends, usual * ends, color=theme.theory, label="constant K / ISO")
+    bars(axes, isos, gains, errors, theme)
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    log_ticks(axes.yaxis, round(math.log10(high / low)))
+    axes.set_ylabel("K [DN/e⁻]")
+    axes.legend(loc="upper left")
+
+
+def iso_axis(axes: Axes, isos: Sequence[float]) -> None:
+    """Set up a logarithmic axis of ISOs."""
+    axes.set_xscale("log")
+    axes.set_xlabel("ISO")
+    axes.xaxis.set_major_locator(FixedLocator(list(isos[:: math.ceil(len(isos) / _ISOS_LABELLED)])))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(number))
+    axes.set_xlim(isos[0] / 1.4, isos[-1] * 1.4)
+
+
+def transfer_lines(
+    main: Axes, below: Axes | None, names: Sequence[str], lines: Sequence[TransferLine], theme: Theme
+) -> float:
+    """Draw the variance over the signal with the fitted lines; below, if wanted, the deviations from them.
+
+    Returns
+    -------
+    float
+        The furthest deviation, in standard errors.
+    """
+    furthest = 0.0
+    for name, line, marker, colour in zip(names, lines, MARKERS, theme.channels, strict=False):
+        signal, variance, error = line.pooled(_LEVELS_SHOWN)
+        deviation = (variance - line.variance_at(signal)) / error
+        furthest = max(furthest, float(np.abs(deviation).max()))
+        main.errorbar(signal, variance, yerr=error, fmt=marker, markersize=4, color=colour, label=name)
+        if below is not None:
+            below.plot(signal, deviation, marker, markersize=3.5, color=colour)
+    ends = np.array([0.0, max(float(line.signal_dn.max()) for line in lines)])
+    for index, line in enumerate(lines):
+        main.plot(ends, line.variance_at(ends), color=theme.theory, label="fitted" if index == 0 else "_")
+    main.set_ylabel("variance [DN²]")
+    legend_above(main, most=5)
+    return furthest
 
 
 # --- figures of their own -----------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
@@ -12,7 +13,7 @@ from PIL import Image
 from eldata.plots.axes import drawn_grid
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
@@ -29,22 +30,18 @@ _GREYS = 32  # noise does not compress: fewer greys than an eye tells apart here
 
 def side_by_side(title: str, panels: Sequence[Panel]) -> Drawing:
     """Return a figure of pictures, an axes each; single values as a map with its scale."""
-    return drawn_grid(title, [(name, _drawing_of(pixels)) for name, pixels in panels])
+    return drawn_grid(title, [(name, partial(_draw_pixels, pixels)) for name, pixels in panels])
 
 
-def _drawing_of(pixels: NDArray[Any]) -> Callable[[Axes, Theme], None]:
-    def draw(axes: Axes, theme: Theme) -> None:
-        del theme
-        if pixels.ndim == 3:
-            axes.imshow(pixels)
-        else:
-            low, high = limits([pixels], 1 - _SHARE_SHOWN, _SHARE_SHOWN)
-            image = axes.imshow(pixels, cmap="inferno", vmin=low, vmax=high)
-            axes.figure.colorbar(image, ax=axes, shrink=0.8)
-        axes.grid(visible=False)
-        axes.set_axis_off()
-
-    return draw
+def _draw_pixels(pixels: NDArray[Any], axes: Axes, _theme: Theme) -> None:
+    if pixels.ndim == 3:
+        axes.imshow(pixels)
+    else:
+        low, high = limits([pixels], 1 - _SHARE_SHOWN, _SHARE_SHOWN)
+        image = axes.imshow(pixels, cmap="inferno", vmin=low, vmax=high)
+        axes.figure.colorbar(image, ax=axes, shrink=0.8)
+    axes.grid(visible=False)
+    axes.set_axis_off()
 
 
 # --- encoded ------------------------------------------------------------------------------------------------------

@@ -1,39 +1,31 @@
-"""A calibration as one HTML page: verdict, tables, fits, and for each ISO the plots that show whether to believe it."""
+"""A calibration as one HTML page: verdict, tables, fits, and for each ISO the plots that show whether to believe it.
+
+What is a figure is read from the calibration's records (:class:`~eldata.calibration.iso_results.MeasuredFigure`).
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.numbers import counted
-from eldata.reports.calibration_iso import (
-    bias_plot,
-    estimated,
-    line_spectrum_plot,
-    ppcc_plot,
-    read_noise_plots,
-    reproduced_pictures,
-    reproduced_plot,
-    rows_plot,
-    shading_pictures,
-    spectrum_picture,
-    transfer_plot,
-)
+from eldata.reports import calibration_iso as drawn
+from eldata.reports.calibration_iso import estimated
 from eldata.reports.calibration_joint import joint_plots
-from eldata.reports.html import digits, grouped, measured, rendered
+from eldata.reports.html import digits, grouped, measured, rendered, typeset
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from eldata.calibration.findings import Effect, Quantity
     from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
     from eldata.calibration.results import Calibration
     from eldata.reports.calibration_iso import Pictures
-    from eldata.reports.figures import Plot
+    from eldata.reports.html import Plot
+
+    Rows = list[tuple[str, str]]
 
 _GRAVEST: tuple[Effect, ...] = ("withheld", "wider", "remark")
-_READ: tuple[Quantity, ...] = ("shape", "read noise")
 _FIT_HEADER = ("fit over ln K", "slope", "intercept", "σ", "R²")
 _CAPTIONS = {
     "figures": "Figures, value ± standard error",
@@ -42,69 +34,69 @@ _CAPTIONS = {
     "fits": "Lines of ln σ over ln K",
     "reproduction": "A bias frame kept out, against simulated ones",
 }
+_SUMMARY = ("tukey_lambda", "sigma_tl_dn", "sigma_row_dn")
+_ROW_NOISE = {"sigma_row_dn": "σ row", "sigma_column_dn": "σ column"}
+_READ_NOISE = {
+    "tukey_lambda": "λ",
+    "sigma_tl_dn": "σ TL",
+    "sigma_gauss_dn": "σ G",
+    "ppcc_lambda": "λ by PPCC",
+    "ppcc_sigma_tl_dn": "σ TL by PPCC",
+    "read_chi2_per_dof": "χ² per d.o.f.",
+    "r_squared_tl": "R², Tukey lambda",
+    "r_squared_gauss": "R², Gaussian",
+    "single_frame_r_squared_tl": "R² as published, Tukey lambda",
+    "single_frame_r_squared_gauss": "R² as published, Gaussian",
+}
 
 
 def calibration_page(calibration: Calibration) -> str:
     """Return the page; the same calibration gives the same text."""
+    isos = calibration.all_isos
     return rendered(
         "calibration.html",
         calibration=calibration,
-        verdict=_verdict(calibration) + _without_profile(calibration),
+        verdict=_verdict(calibration),
         wary=_wary(calibration),
-        withheld=_where([one.symbols("withheld") for one in calibration.all_isos], calibration),
-        widened=_where([one.symbols("wider") for one in calibration.all_isos], calibration),
+        withheld=_symbols("withheld", isos),
+        widened=_symbols("wider", isos),
         remarks=_remarks(calibration),
-        tables=_tables(calibration),
+        tables=[
+            {
+                "name": name,
+                "caption": _CAPTIONS[name],
+                "header": _FIT_HEADER if name == "fits" else header,
+                "rows": rows,
+            }
+            for name, (header, rows) in calibration.tables().items()
+        ],
         joint=joint_plots(calibration),
         sections=_sections(calibration),
         made_from=_made_from(calibration),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Group:
-    """Plots and figures of one kind of noise."""
-
-    title: str
-    numbers: tuple[tuple[str, str], ...]
-    plots: tuple[Plot, ...] = ()
-    pictures: tuple[Pictures, ...] = ()
-    note: str = ""
-    effect: Effect = "remark"
-
-
-def _tables(calibration: Calibration) -> list[dict[str, Any]]:
-    """Return name, caption, header and rows of each table that has any."""
-    return [
-        {"name": name, "caption": _CAPTIONS[name], "header": _FIT_HEADER if name == "fits" else header, "rows": rows}
-        for name, (header, rows) in calibration.tables().items()
-    ]
-
-
 # --- verdict ------------------------------------------------------------------------------------------------------
 
 
 def _verdict(calibration: Calibration) -> str:
-    """Return how much was measured, in a sentence."""
+    """Say in sentences how much was measured, and why there is no profile if there is none."""
     isos = calibration.all_isos
     where = f"ISO {isos[0].iso:g}" if len(isos) == 1 else f"{len(isos)} ISOs from {isos[0].iso:g} to {isos[-1].iso:g}"
     gains = [one.gain_dn_per_e for one in isos if one.gain_dn_per_e is not None]
-    if not gains:
+    if gains:
+        low, high, missing = digits(min(gains)), digits(max(gains)), len(isos) - len(gains)
+        of_gain = f", K is {low} DN/e⁻" if low == high else f", K from {low} to {high} DN/e⁻"
+        of_gain += f", not given at {missing} of them" if missing else ""
+    else:
         is_withheld = any("gain" in one.withheld for one in isos)
-        return f"{where}; K is {'withheld' if is_withheld else 'not known, for want of flats'}."
-    low, high = digits(min(gains)), digits(max(gains))
-    found = f"K is {low} DN/e⁻" if low == high else f"K from {low} to {high} DN/e⁻"
-    missing = len(isos) - len(gains)
-    return f"{where}, {found}{f', not given at {missing} of them' if missing else ''}."
-
-
-def _without_profile(calibration: Calibration) -> str:
-    """Return why there is no profile, as a further sentence; empty if there is one."""
-    return f" No profile can be made: {calibration.no_profile}." if calibration.no_profile else ""
+        of_gain = f"; K is {'withheld' if is_withheld else 'not known, for want of flats'}"
+    of_profile = f" No profile can be made: {calibration.no_profile}." if calibration.no_profile else ""
+    return f"{where}{of_gain}.{of_profile}"
 
 
 def _wary(calibration: Calibration) -> str:
-    """Return where there is something to be wary of, in a sentence; empty if nowhere."""
+    """Say in a sentence where there is something to be wary of; empty if nowhere."""
     places = [f"ISO {one.iso:g}" for one in calibration.all_isos if one.all_remarks]
     if not places and not calibration.remarks:
         return ""
@@ -112,32 +104,30 @@ def _wary(calibration: Calibration) -> str:
         places = ["every ISO"]
     elif len(places) > 3:
         places = [f"{len(places)} of {len(calibration.all_isos)} ISOs"]
-    about = [*places, *(["the calibration as a whole"] if calibration.remarks else [])]
-    number = len(calibration.all_remarks)
-    return f"{counted(number, 'remark')}, on {_and(about)}."
+    places += ["the calibration as a whole"] if calibration.remarks else []
+    return f"{counted(len(calibration.all_remarks), 'remark')}, on {_and(places)}."
 
 
-def _where(symbols: Sequence[str], calibration: Calibration) -> str:
-    """Return symbols of figures with the ISOs that each list of them belongs to; empty if there are none."""
-    isos: dict[str, list[str]] = {}
-    for of_one, one in zip(symbols, calibration.all_isos, strict=True):
-        if of_one:
-            isos.setdefault(of_one, []).append(f"{one.iso:g}")
-    return "; ".join(f"{of_one} at ISO {_and(places)}" for of_one, places in isos.items())
+def _by_iso(items: Iterable[tuple[Any, IsoGain]]) -> dict[Any, str]:
+    """List each item once, with its ISOs."""
+    isos: dict[Any, list[str]] = {}
+    for item, one in items:
+        isos.setdefault(item, []).append(f"{one.iso:g}")
+    return {item: f"ISO {_and(names)}" for item, names in isos.items()}
+
+
+def _symbols(effect: Effect, isos: Sequence[IsoGain]) -> str:
+    """List the symbols of figures that are withheld, or have a larger error, with their ISOs; empty if none."""
+    symbols = _by_iso((one.symbols(effect), one) for one in isos)
+    return "; ".join(f"{names} at {where}" for names, where in symbols.items() if names)
 
 
 def _remarks(calibration: Calibration) -> list[tuple[str, str, Effect]]:
-    """Return of which ISOs (of the whole if empty) what is remarked, and what becomes of figures, gravest first.
-
-    What is said of several ISOs is said once.
-    """
-    isos: dict[tuple[str, Effect], list[str]] = {}
-    for one in calibration.all_isos:
-        for remark in _remarks_on(one):
-            isos.setdefault(remark, []).append(f"{one.iso:g}")
-    of_isos = [(f"ISO {_and(places)}", remark, effect) for (remark, effect), places in isos.items()]
-    of_all: list[tuple[str, str, Effect]] = [("", remark, "remark") for remark in calibration.remarks]
-    return sorted(of_isos + of_all, key=lambda remark: _GRAVEST.index(remark[2]))
+    """List ISOs (empty: of the whole), remark, and what becomes of figures, gravest first, each remark once."""
+    of_isos = _by_iso((remark, one) for one in calibration.all_isos for remark in _remarks_on(one))
+    remarks: list[tuple[str, str, Effect]] = [(where, *remark) for remark, where in of_isos.items()]
+    remarks += [("", remark, "remark") for remark in calibration.remarks]
+    return sorted(remarks, key=lambda remark: _GRAVEST.index(remark[2]))
 
 
 def _remarks_on(one: IsoGain) -> list[tuple[str, Effect]]:
@@ -162,157 +152,158 @@ def _made_from(calibration: Calibration) -> str:
 # --- one ISO ------------------------------------------------------------------------------------------------------
 
 
-def _sections(calibration: Calibration) -> list[tuple[str, str, list[tuple[str, Effect]], tuple[_Group, ...]]]:
-    """Return ISO, summary, remarks and groups of each ISO, ascending."""
-    of_gain = [(one, _gain_summary(one), (_gain(one),)) for one in calibration.gains]
-    of_all = [(one, _summary(one), _groups(one)) for one in calibration.isos]
-    ascending = sorted((*of_gain, *of_all), key=lambda section: section[0].iso)
-    return [(f"{one.iso:g}", summary, _remarks_on(one), groups) for one, summary, groups in ascending]
-
-
-def _gain_summary(one: IsoGain) -> str:
-    return "K not known" if one.gain_text == "-" else f"K {_alone(one.gain)}"
-
-
-def _summary(one: IsoCalibration) -> str:
-    shape, scale, row = _alone(one.tukey_lambda, 2), _alone(one.sigma_tl_dn), _alone(one.sigma_row_dn)
-    return f"{_gain_summary(one)}, λ {shape}, σ TL {scale}, σ row {row}"
+def _sections(calibration: Calibration) -> list[tuple[str, str, list[tuple[str, Effect]], list[dict[str, Any]]]]:
+    """List ISO, summary, remarks and groups of each ISO, ascending."""
+    groups = {one.iso: [_gain(one)] for one in calibration.gains}
+    summaries = dict.fromkeys(groups, "")
+    for one in calibration.isos:
+        figures = (one.figures[name] for name in _SUMMARY)
+        summaries[one.iso] = "".join(
+            f", {typeset(figure.label)} {_alone(figure, 3 if figure.unit else 2)}" for figure in figures
+        )
+        groups[one.iso] = [
+            *(_gain(one), _colour_bias(one), _rows(one), _read_noise(one), _reproduction(one), _pattern(one))
+        ]
+    sections = []
+    for each in calibration.all_isos:
+        gain = "K not known" if each.gain_text == "-" else f"K {_alone(each.gain)}"
+        sections.append((f"{each.iso:g}", gain + summaries[each.iso], _remarks_on(each), groups[each.iso]))
+    return sections
 
 
 def _alone(figure: MeasuredFigure | None, count: int = 3) -> str:
-    """Return a figure without its error."""
-    if figure is None:
+    """Write a figure without its error."""
+    if figure is None or math.isnan(figure.value):
         return "withheld"
     return digits(figure.value, count) + (" (stated)" if figure.is_stated else "")
 
 
-def _judged(one: IsoGain, group: _Group, *figures: Quantity) -> _Group:
-    """Return a group with the sentence why figures are not given, or with which error; as it is if all is well."""
-    if why := one.why(*figures):
-        return replace(group, note=f"Withheld: {why.rstrip('.')}.", effect="withheld")
-    if why := one.why(*figures, effect="wider"):
-        return replace(group, note=f"Errors made larger: {why.rstrip('.')}.", effect="wider")
-    return group
+def _group(
+    one: IsoGain,
+    title: str,
+    numbers: Rows,
+    *quantities: Quantity,
+    plots: Sequence[Plot] = (),
+    pictures: Sequence[Pictures] = (),
+    note: str = "",
+) -> dict[str, Any]:
+    """Gather what is shown of one kind of noise, and why its quantities are not given, or with which error."""
+    effect: Effect = "remark"
+    if why := one.why(*quantities):
+        note, effect = f"Withheld: {why.rstrip('.')}.", "withheld"
+    elif why := one.why(*quantities, effect="wider"):
+        note, effect = f"Errors made larger: {why.rstrip('.')}.", "wider"
+    shown = {"numbers": numbers, "plots": plots, "pictures": pictures}
+    return {"title": title, **shown, "note": note, "effect": effect}
 
 
-def _groups(one: IsoCalibration) -> tuple[_Group, ...]:
-    return _gain(one), _colour_bias(one), _rows(one), _read_noise(one), _reproduction(one), _pattern(one)
+def _figures(one: IsoCalibration, labels: Mapping[str, str]) -> Rows:
+    """Write figures with their errors; one that never has any is left out where it is not known."""
+    figures = [(label, one.figures[name]) for name, label in labels.items()]
+    return [
+        (label, estimated(figure) if figure.decimals is None else _alone(figure, 6 if "R²" in label else 3) + unit)
+        for label, figure in figures
+        for unit in [f" {figure.unit}".rstrip()]
+        if figure.decimals is None or not math.isnan(figure.value)
+    ]
 
 
-def _by_channel(template: str, one: IsoGain, values: Sequence[str]) -> list[tuple[str, str]]:
-    """Return a text for each CFA channel, with the template's name for it."""
+def _by_channel(template: str, one: IsoGain, values: Iterable[str]) -> Rows:
+    """Give each CFA channel's text the template's name for it."""
     return [(template.format(name), value) for name, value in zip(one.channels, values, strict=True)]
 
 
-def _gain(one: IsoGain) -> _Group:
-    title = "System gain K"
-    if one.transfer is None:
-        stated = () if one.gain is None else (("K [DN/e⁻]", estimated(one.gain)),)
+def _gain(one: IsoGain) -> dict[str, Any]:
+    title, transfer = "System gain K", one.transfer
+    numbers = [] if transfer is None and one.gain is None else [("K [DN/e⁻]", estimated(one.gain, ""))]
+    if transfer is None:
         note = "There are no pairs of equal flats of this ISO, so K is not known and there is no photon transfer line."
-        if stated:
+        if numbers:
             note = "K is stated: there is no photon transfer line that gives it."
-        return _judged(one, _Group(title, stated, note=note), "gain")
-    transfer = one.transfer
-    numbers = [("K [DN/e⁻]", estimated(one.gain))]
+        return _group(one, title, numbers, "gain", note=note)
     if one.channel_gains is not None:
-        numbers += _by_channel("K of {}", one, [estimated(gain) for gain in one.channel_gains])
+        numbers += _by_channel("K of {}", one, [estimated(gain, "") for gain in one.channel_gains])
     if one.spatial_gain is not None:
-        numbers.append(("K as published", estimated(one.spatial_gain)))
+        numbers.append(("K as published", estimated(one.spatial_gain, "")))
     numbers += [
         ("Channels' χ² per d.o.f.", digits(transfer.agreement_chi2_per_dof, 2)),
         ("Flat frames", str(transfer.frames)),
         ("Area left out", f"{transfer.left_out:.1%}"),
     ]
-    return _judged(one, _Group(title, tuple(numbers), plots=(transfer_plot(one, transfer),)), "gain")
+    return _group(one, title, numbers, "gain", plots=[drawn.transfer_plot(one, transfer)])
 
 
-def _colour_bias(one: IsoCalibration) -> _Group:
-    bias = one.bias
-    blacks = sorted(set(one.sensor.black_level_dn))
-    given = one.colour_bias
+def _colour_bias(one: IsoCalibration) -> dict[str, Any]:
+    bias, blacks = one.colour_bias, sorted(set(one.sensor.black_level_dn))
     numbers = [
-        *([] if given is None else _by_channel("{}", one, [estimated(channel, "DN") for channel in given])),
+        *([] if bias is None else _by_channel("{}", one, map(estimated, bias))),
         ("Recorded black", f"{_and([f'{level:g}' for level in blacks])} DN"),
-        ("Bias frames", str(bias.frames)),
+        ("Bias frames", str(one.bias.frames)),
     ]
-    plots = () if given is None else (bias_plot(one, given),)
-    return _judged(one, _Group("Colour bias", tuple(numbers), plots=plots), "colour bias")
+    return _group(
+        one, "Colour bias", numbers, "colour bias", plots=[] if bias is None else [drawn.bias_plot(one, bias)]
+    )
 
 
-def _rows(one: IsoCalibration) -> _Group:
+def _rows(one: IsoCalibration) -> dict[str, Any]:
     rows, columns = one.rows.rows, one.rows.columns
-    numbers = (
-        ("σ row", estimated(one.sigma_row_dn, "DN")),
-        ("σ column", estimated(one.sigma_column_dn, "DN")),
+    numbers = [
+        *_figures(one, _ROW_NOISE),
         ("Fixed rows", f"{digits(rows.fixed_sigma_dn)} DN"),
         ("Fixed columns", f"{digits(columns.fixed_sigma_dn)} DN"),
         ("Shapiro-Wilk p", digits(rows.shapiro_p, 2)),
         ("Excess kurtosis", digits(rows.excess_kurtosis, 2)),
+    ]
+    plots, pictures = (
+        [drawn.rows_plot(one), drawn.line_spectrum_plot(one)],
+        [drawn.spectrum_picture(one)],
     )
-    plots = (rows_plot(one), line_spectrum_plot(one))
-    return _judged(one, _Group("Row noise", numbers, plots=plots, pictures=(spectrum_picture(one),)), "row noise")
+    return _group(one, "Row noise", numbers, "row noise", plots=plots, pictures=pictures)
 
 
-def _read_noise(one: IsoCalibration) -> _Group:
-    title, read, plot, shape = "Read noise", one.read, one.plot, one.tukey_lambda
-    if read is None or plot is None:
-        return _judged(one, _Group(title, ()), *_READ)
-    by_ppcc = (("λ by PPCC", digits(read.ppcc_lambda)), ("σ TL by PPCC", f"{digits(read.ppcc_sigma_tl_dn)} DN"))
-    numbers = (
-        ("λ", estimated(shape)),
-        ("σ TL", estimated(one.sigma_tl_dn, "DN")),
-        ("σ G", estimated(one.sigma_gauss_dn, "DN")),
-        *(() if shape is None else by_ppcc),
-        *([] if math.isnan(read.chi2_per_dof) else [("χ² per d.o.f.", digits(read.chi2_per_dof))]),
-        ("R², Tukey lambda", digits(read.r_squared_tl, 6)),
-        ("R², Gaussian", digits(read.r_squared_gauss, 6)),
-        *_as_published(one),
-        ("Residuals", grouped(read.residuals)),
-    )
-    of_shape = () if shape is None else (ppcc_plot(one, read, shape),)
-    return _judged(one, _Group(title, numbers, plots=(*of_shape, *read_noise_plots(one, read, plot))), *_READ)
+def _read_noise(one: IsoCalibration) -> dict[str, Any]:
+    numbers: Rows = []
+    plots: list[Plot] = []
+    if one.read is not None and one.plot is not None:
+        numbers = [*_figures(one, _READ_NOISE), ("Residuals", grouped(one.read.residuals))]
+        shape = one.tukey_lambda
+        plots = [] if shape is None else [drawn.ppcc_plot(one, one.read, shape)]
+        plots += drawn.read_noise_plots(one, one.read, one.plot)
+    return _group(one, "Read noise", numbers, "shape", "read noise", plots=plots)
 
 
-def _as_published(one: IsoCalibration) -> tuple[tuple[str, str], ...]:
-    if one.single_frame is None:
-        return ()
-    of_shape, of_normal, _ = one.single_frame
-    return (
-        ("R² as published, Tukey lambda", digits(of_shape, 6)),
-        ("R² as published, Gaussian", digits(of_normal, 6)),
-    )
-
-
-def _reproduction(one: IsoCalibration) -> _Group:
-    title = "A bias frame kept out, against the model"
-    found = one.reproduction
-    if found is None:
+def _reproduction(one: IsoCalibration) -> dict[str, Any]:
+    title, kept = "A bias frame kept out, against the model", one.reproduction
+    if kept is None:
         note = f"None was kept out: there were only {one.bias_frames} bias frames, and all went into the estimates."
         if one.parameters is None:
             note = "There is none, since a figure that it would be made with is withheld."
-        return _Group(title, (), note=note)
-    numbers = (
-        ("R² of the quantiles", digits(found.r_squared, 6)),
-        ("Histograms differ by", f"{found.histogram_distance:.2%}"),
-        ("By chance", f"{found.histogram_distance_by_chance:.2%}"),
-        ("σ real", f"{digits(found.sigma_real_dn, 4)} DN"),
-        ("σ simulated", f"{digits(found.sigma_simulated_dn, 4)} DN"),
-        ("Row means, σ real", f"{digits(found.row_sigma_real_dn)} DN"),
-        ("Row means, σ simulated", f"{digits(found.row_sigma_simulated_dn)} DN"),
+        return _group(one, title, [], note=note)
+    numbers = [
+        ("R² of the quantiles", digits(kept.r_squared, 6)),
+        ("Histograms differ by", f"{kept.histogram_distance:.2%}"),
+        ("By chance", f"{kept.histogram_distance_by_chance:.2%}"),
+        ("σ real", f"{digits(kept.sigma_real_dn, 4)} DN"),
+        ("σ simulated", f"{digits(kept.sigma_simulated_dn, 4)} DN"),
+        ("Row means, σ real", f"{digits(kept.row_sigma_real_dn)} DN"),
+        ("Row means, σ simulated", f"{digits(kept.row_sigma_simulated_dn)} DN"),
+    ]
+    return _group(
+        one,
+        title,
+        numbers,
+        plots=[drawn.reproduced_plot(one, kept)],
+        pictures=[drawn.reproduced_pictures(one, kept)],
     )
-    return _Group(title, numbers, plots=(reproduced_plot(one, found),), pictures=(reproduced_pictures(one, found),))
 
 
-def _pattern(one: IsoCalibration) -> _Group:
+def _pattern(one: IsoCalibration) -> dict[str, Any]:
     pattern = one.pattern
-    numbers = (
+    uneven = zip(pattern.dsnu_dn, pattern.dsnu_error_dn, strict=True)
+    numbers = [
         ("Defects", f"{grouped(pattern.defects)}, {digits(100 * pattern.defects / pattern.pixels, 2)} %"),
         ("Off their level", grouped(pattern.off_level)),
         ("Never changing", grouped(pattern.stuck)),
-        *_by_channel(
-            "DSNU of {}",
-            one,
-            [measured(*figure, "DN") for figure in zip(pattern.dsnu_dn, pattern.dsnu_error_dn, strict=True)],
-        ),
-    )
-    return _Group("What stays from frame to frame", numbers, pictures=(shading_pictures(one),))
+        *_by_channel("DSNU of {}", one, [measured(*values, "DN") for values in uneven]),
+    ]
+    return _group(one, "What stays from frame to frame", numbers, pictures=[drawn.shading_pictures(one)])

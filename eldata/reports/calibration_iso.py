@@ -17,11 +17,10 @@ from eldata.plots.axes import (
     legend_above,
     log_ticks,
     thinned,
+    transfer_lines,
 )
-from eldata.plots.gains import transfer_lines
 from eldata.plots.pictures import block_means, grey_png, limits
-from eldata.reports.figures import draw_plot
-from eldata.reports.html import digits, measured, plot_words
+from eldata.reports.html import digits, draw_plot, measured, plot_words, typeset
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
     from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
     from eldata.plots.axes import Theme
-    from eldata.reports.figures import Plot
+    from eldata.reports.html import Plot
 
 GAUSSIAN_LAMBDA = 0.14
 """The shape at which the Tukey-lambda distribution is nearest to the normal one."""
@@ -47,10 +46,11 @@ _FRAMES_SHOWN = 32
 _SHADING_SHOWN = 72  # rows or columns
 
 
-def estimated(figure: MeasuredFigure | None, unit: str = "") -> str:
-    """Return a figure with its error and unit, or "withheld"."""
-    if figure is None:
+def estimated(figure: MeasuredFigure | None, unit: str | None = None) -> str:
+    """Write a figure with its error and a unit, by default its own; or "withheld"."""
+    if figure is None or math.isnan(figure.value):
         return "withheld"
+    unit = typeset(figure.unit) if unit is None else unit
     return measured(figure.value, figure.error, unit) + (" (stated)" if figure.is_stated else "")
 
 
@@ -68,7 +68,7 @@ def transfer_plot(one: IsoGain, transfer: PhotonTransfer) -> Plot:
     worst = max((line.chi2_per_dof for line in transfer.channels if math.isfinite(line.chi2_per_dof)), default=math.nan)
     alt = (
         f"Variance against signal of the flats at ISO {one.iso:g}, by channel, with the fitted lines: K is "
-        f"{estimated(one.gain, 'DN/e⁻')}, chi² per degree of freedom at most "
+        f"{estimated(one.gain)}, chi² per degree of freedom at most "
         f"{digits(worst, 2)}."
     )
     if spatial is not None and spatial_gain is not None:
@@ -110,7 +110,7 @@ def bias_plot(one: IsoCalibration, given: Sequence[MeasuredFigure]) -> Plot:
     """Draw the colour bias, and below how much the frames' own means scatter around it."""
     bias = one.bias
     channels = len(one.channels)
-    found = ", ".join(f"{name} {estimated(figure, 'DN')}" for name, figure in zip(one.channels, given, strict=True))
+    found = ", ".join(f"{name} {estimated(figure)}" for name, figure in zip(one.channels, given, strict=True))
     alt = (
         f"Mean of the bias frames over the recorded black level at ISO {one.iso:g}: {found}; and the means of "
         f"{bias.frames} single frames around it."
@@ -156,8 +156,7 @@ def rows_plot(one: IsoCalibration) -> Plot:
     )
     draw = partial(
         draw_quantiles,
-        expected=rows.quantiles[shown],
-        found=rows.ordered_dn[shown],
+        points=(rows.quantiles[shown], rows.ordered_dn[shown]),
         line=rows.normal_line_dn,
         names=("normal", "row means"),
         labels=("normal quantile", "row mean [DN]"),
@@ -171,7 +170,7 @@ def line_spectrum_plot(one: IsoCalibration) -> Plot:
     rows, columns = one.rows.rows, one.rows.columns
     alt = (
         f"Power of row and column means over what pixel noise alone gives, at ISO {one.iso:g}: σ row "
-        f"{estimated(one.sigma_row_dn, 'DN')}, σ column {estimated(one.sigma_column_dn, 'DN')}."
+        f"{estimated(one.sigma_row_dn)}, σ column {estimated(one.sigma_column_dn)}."
     )
 
     def draw(axes: Axes, theme: Theme) -> None:
@@ -232,82 +231,63 @@ def ppcc_plot(one: IsoCalibration, read: ReadNoise, shape: MeasuredFigure) -> Pl
     return _plot("ppcc", one, alt, draw)
 
 
-def read_noise_plots(one: IsoCalibration, read: ReadNoise, plot: ProbabilityPlot) -> tuple[Plot, Plot]:
+def read_noise_plots(one: IsoCalibration, read: ReadNoise, plot: ProbabilityPlot) -> list[Plot]:
     """Draw the probability plots of the residuals against the normal and the Tukey-lambda distribution."""
-    gauss, tukey = (digits(r, 6) for r in (read.r_squared_gauss, read.r_squared_tl))
     shape = "" if one.tukey_lambda is None else f" of shape {digits(plot.shape)}"
-    start = "Quantiles of the read noise against"
-    alt = f"{start} normal ones at ISO {one.iso:g}: R² {gauss}."
-    of_shape = f"{start} those of the Tukey-lambda distribution{shape} at ISO {one.iso:g}: R² {tukey}."
-
-    def probability_plot(
-        kind: str, said: str, expected: NDArray[np.floating[Any]], slope: float, r_squared: str, family: str
-    ) -> Plot:
+    of_shape = f"those of the Tukey-lambda distribution{shape}"
+    plots = []
+    for kind, family, words, quantiles, slope, r_squared in (
+        ("gaussian", "normal", "normal ones", plot.normal, plot.slope_normal_dn, read.r_squared_gauss),
+        ("tukey-lambda", "Tukey-lambda", of_shape, plot.tukey_lambda, plot.slope_tukey_lambda_dn, read.r_squared_tl),
+    ):
         draw = partial(
             draw_quantiles,
-            expected=expected,
-            found=plot.ordered_dn,
+            points=(quantiles, plot.ordered_dn),
             line=(slope, 0.0),
             names=(family, "read noise"),
             labels=(f"{family} quantile", "read noise [DN]"),
-            note=f"R² {r_squared}",
+            note=f"R² {digits(r_squared, 6)}",
         )
-        return _plot(kind, one, said, draw)
-
-    return (
-        probability_plot("gaussian", alt, plot.normal, plot.slope_normal_dn, gauss, "normal"),
-        probability_plot(
-            "tukey-lambda", of_shape, plot.tukey_lambda, plot.slope_tukey_lambda_dn, tukey, "Tukey-lambda"
-        ),
-    )
+        alt = f"Quantiles of the read noise against {words} at ISO {one.iso:g}: R² {digits(r_squared, 6)}."
+        plots.append(_plot(kind, one, alt, draw))
+    return plots
 
 
 # --- real against simulated ---------------------------------------------------------------------------------------
 
 
-def reproduced_plot(one: IsoCalibration, found: Reproduction) -> Plot:
+def reproduced_plot(one: IsoCalibration, kept: Reproduction) -> Plot:
     """Draw the quantiles of a real bias frame over those of a simulated one."""
-    r_squared = digits(found.r_squared, 6)
-    of_quantiles = (
+    r_squared = digits(kept.r_squared, 6)
+    alt = (
         f"Quantiles of the held-out bias frame against those of a simulated one at ISO {one.iso:g}, from 0.00001 to "
         f"0.99999: R² {r_squared}."
     )
-    quantiles = partial(
+    draw = partial(
         draw_quantiles,
-        expected=found.quantiles_simulated_dn,
-        found=found.quantiles_real_dn,
+        points=(kept.quantiles_simulated_dn, kept.quantiles_real_dn),
         line=(1.0, 0.0),
         names=("alike", "quantiles"),
         labels=("simulated [DN]", "real [DN]"),
         note=f"R² {r_squared}",
     )
-    return _plot("reproduced-quantiles", one, of_quantiles, quantiles)
+    return _plot("reproduced-quantiles", one, alt, draw)
 
 
 # --- pictures -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
-    """One picture, pixel by pixel: what it is called, what it shows in words, its PNG, its columns and rows."""
-
-    label: str
-    alt: str
-    png: bytes
-    width: int
-    height: int
-
-
-@dataclass(frozen=True, slots=True)
 class Pictures:
     """Pictures on one scale: heading, what to look for, and what the darkest and the lightest grey stand for.
 
-    ``pixelated``: whether pixels are to stay squares when enlarged.
+    Each of ``pictures`` has a label, what it shows in words, its PNG, columns and rows. ``pixelated``: whether pixels
+    are to stay squares when enlarged.
     """
 
     title: str
     caption: str
-    pictures: tuple[Picture, ...]
+    pictures: list[tuple[str, str, bytes, int, int]]
     black: str
     white: str
     pixelated: bool
@@ -318,19 +298,15 @@ def _pictures(
     planes: Iterable[tuple[str, str, NDArray[Any]]],
     scale: tuple[float, float],
     unit: str,
-    shown: tuple[float, float] | None = None,
-    **said: str,
+    ends: tuple[float, float] | None = None,
+    **words: str,
 ) -> Pictures:
-    """Return labelled and described planes on one scale, with the words of their kind.
-
-    ``shown`` is what the scale's ends are said to be, where these are not the values themselves.
-    """
-    words = plot_words("calibration")[kind]
-    black, white = (f"{digits(limit)} {unit}" for limit in shown or scale)
-    pictures = tuple(
-        Picture(label, alt, grey_png(plane, *scale), plane.shape[1], plane.shape[0]) for label, alt, plane in planes
-    )
-    return Pictures(words["title"], words["caption"].format(**said), pictures, black, white, pixelated=unit == "DN")
+    """Gather labelled and described planes on one scale; ``ends`` are its values where the planes are logarithms."""
+    of_kind = plot_words("calibration")[kind]
+    black, white = (f"{digits(limit)} {unit}" for limit in ends or scale)
+    pictures = [(label, alt, grey_png(plane, *scale), *plane.shape[::-1]) for label, alt, plane in planes]
+    caption = of_kind["caption"].format(**words)
+    return Pictures(of_kind["title"], caption, pictures, black, white, pixelated=unit == "DN")
 
 
 def spectrum_picture(one: IsoCalibration) -> Pictures:

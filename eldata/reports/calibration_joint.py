@@ -8,21 +8,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.plots.axes import MARKERS, bars, legend_above
-from eldata.plots.gains import bar, gain_over_iso, iso_axis, scale_over_gain
+from eldata.plots.axes import MARKERS, bar, bars, gain_over_iso, iso_axis, legend_above, scale_over_gain
 from eldata.reports.calibration_iso import GAUSSIAN_LAMBDA
-from eldata.reports.figures import draw_plot
-from eldata.reports.html import digits
+from eldata.reports.html import digits, draw_plot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from matplotlib.axes import Axes
 
-    from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain
     from eldata.calibration.results import Calibration, ScalePanel
     from eldata.plots.axes import Theme
-    from eldata.reports.figures import Plot
+    from eldata.reports.html import Plot
 
 _BIN_DN = 0.5  # as in the paper
 _LINES = ("-", "--", "-.", ":")  # one per channel
@@ -32,20 +30,15 @@ _CHANNEL_STEP = 0.07  # of ln ISO: side by side, where the channels' values are 
 def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
     """Draw every plot over the ISOs that there is data for."""
     isos = calibration.isos
-    found = [_scale_plot(panel, _left_out(isos, "gain", panel.quantity)) for panel in calibration.scale_panels]
-    with_gain = [one for one in calibration.all_isos if one.gain is not None]
-    if with_gain:
-        more = _left_out(calibration.all_isos, "gain")
-        found.append(_gain_plot(with_gain, calibration.usual_gain_per_iso, more))
-    shapes = [(one.iso, shape) for one in isos if (shape := one.tukey_lambda) is not None]
-    biases = [(one.iso, bias) for one in isos if (bias := one.colour_bias) is not None]
-    if shapes:
-        found.append(_lambda_plot(shapes, _left_out(isos, "shape")))
-    if biases:
+    plots = [_scale_plot(panel, _left_out(isos, "gain", panel.quantity)) for panel in calibration.scale_panels]
+    if with_gain := [one for one in calibration.all_isos if one.gain is not None]:
+        plots.append(_gain_plot(with_gain, calibration.usual_gain_per_iso, _left_out(calibration.all_isos, "gain")))
+    if shaped := [one for one in isos if one.tukey_lambda is not None]:
+        plots.append(_lambda_plot(shaped, _left_out(isos, "shape")))
+    if biased := [one for one in isos if one.colour_bias is not None]:
         more = _left_out(isos, "colour bias")
-        found.append(_bias_plot(isos[0].channels, biases, more))
-        found.append(_frames_plot([one for one in isos if one.colour_bias is not None], more))
-    return tuple(found)
+        plots += [_bias_plot(biased, more), _frames_plot(biased, more)]
+    return tuple(plots)
 
 
 def _left_out(isos: Sequence[IsoGain], *figures: str) -> str:
@@ -70,18 +63,12 @@ def _scale_plot(panel: ScalePanel, more: str) -> Plot:
     alt += "." if lines else ""
 
     def draw(axes: Axes, theme: Theme) -> None:
-        scale_over_gain(axes, name, [(line.fit, low, high) for line, low, high in panel.spans], points, theme)
+        scale_over_gain(axes, name, panel.spans, points, theme)
 
+    words: dict[str, object] = {"name": name}
     caption = "caption" if lines else "without_line"
     return draw_plot(
-        "calibration",
-        "scale",
-        alt,
-        draw,
-        name=f"sigma-{name.lower()}",
-        caption=caption,
-        more=more,
-        words={"name": name},
+        "calibration", "scale", alt, draw, name=f"sigma-{name.lower()}", caption=caption, more=more, words=words
     )
 
 
@@ -98,10 +85,10 @@ def _plot_by_iso(
 
 
 def _gain_plot(known: Sequence[IsoGain], usual: float, more: str) -> Plot:
-    isos, gains = [one.iso for one in known], [one.gain_dn_per_e or 0.0 for one in known]
-    relative = [gain / iso / usual for gain, iso in zip(gains, isos, strict=True)]
-    errors = [0.0 if one.gain is None else bar(one.gain.error) for one in known]
-    apart = [error / iso / usual for error, iso in zip(errors, isos, strict=True)]
+    measured = {one.iso: gain for one in known if (gain := one.gain) is not None}
+    isos, gains = list(measured), [gain.value for gain in measured.values()]
+    errors = [bar(gain.error) for gain in measured.values()]
+    relative, apart = ([one / iso / usual for one, iso in zip(each, isos, strict=True)] for each in (gains, errors))
     alt = (
         f"K at {counted(len(known), 'ISO')}, {digits(min(gains), 4)} to {digits(max(gains), 4)} DN/e⁻. K / ISO stays "
         f"within {max(abs(ratio - 1) for ratio in relative):.1%} of its median."
@@ -119,45 +106,45 @@ def _gain_plot(known: Sequence[IsoGain], usual: float, more: str) -> Plot:
     return _plot_by_iso("gain", isos, alt, draw, ratio=1.8, more=more)
 
 
-def _lambda_plot(given: Sequence[tuple[float, MeasuredFigure]], more: str) -> Plot:
-    isos, shapes = [iso for iso, _ in given], [shape.value for _, shape in given]
-    span = f"from {digits(min(shapes))} to {digits(max(shapes))}"
-    alt = f"Shape λ of the read noise at {counted(len(shapes), 'ISO')}, {span}."
+def _lambda_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
+    figures = [one.figures["tukey_lambda"] for one in isos]
+    at, shapes = [one.iso for one in isos], [figure.value for figure in figures]
+    alt = (
+        f"Shape λ of the read noise at {counted(len(shapes), 'ISO')}, from {digits(min(shapes))} to "
+        f"{digits(max(shapes))}."
+    )
 
     def draw(axes: Axes, theme: Theme) -> None:
         axes.axhline(GAUSSIAN_LAMBDA, color=theme.ink, linewidth=1, linestyle=":", label="Gaussian, 0.14")
         axes.axhline(0, color=theme.theory, linewidth=1, label="logistic, 0")
-        bars(axes, isos, shapes, [bar(shape.error) for _, shape in given], theme)
+        bars(axes, at, shapes, [bar(figure.error) for figure in figures], theme)
         axes.set_ylabel("λ")
         axes.margins(y=0.1)
         legend_above(axes)
 
-    return _plot_by_iso("lambda", isos, alt, draw, more=more)
+    return _plot_by_iso("lambda", at, alt, draw, more=more)
 
 
-def _bias_plot(names: Sequence[str], given: Sequence[tuple[float, Sequence[MeasuredFigure]]], more: str) -> Plot:
-    isos = [iso for iso, _ in given]
-    values = [channel.value for _, bias in given for channel in bias]
-    span = f"from {digits(min(values))} to {digits(max(values))} DN"
-    alt = f"Colour bias by channel at {counted(len(isos), 'ISO')}, {span}."
+def _bias_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
+    channels = list(zip(*(one.colour_bias or () for one in isos), strict=True))
+    values = [figure.value for channel in channels for figure in channel]
+    alt = (
+        f"Colour bias by channel at {counted(len(isos), 'ISO')}, from {digits(min(values))} to {digits(max(values))} "
+        "DN."
+    )
 
     def draw(axes: Axes, theme: Theme) -> None:
         axes.axhline(0, color=theme.theory, linewidth=1)
-        for channel, name in enumerate(names):
-            aside = math.exp((channel - (len(names) - 1) / 2) * _CHANNEL_STEP)
-            axes.errorbar(
-                [iso * aside for iso in isos],
-                [bias[channel].value for _, bias in given],
-                yerr=[bar(bias[channel].error) for _, bias in given],
-                fmt=MARKERS[channel],
-                color=theme.channels[channel],
-                label=name,
-            )
+        for place, (name, channel) in enumerate(zip(isos[0].channels, channels, strict=True)):
+            aside = math.exp((place - (len(channels) - 1) / 2) * _CHANNEL_STEP)
+            style: dict[str, Any] = {"fmt": MARKERS[place], "color": theme.channels[place], "label": name}
+            errors = [bar(figure.error) for figure in channel]
+            axes.errorbar([one.iso * aside for one in isos], [figure.value for figure in channel], yerr=errors, **style)
         axes.set_ylabel("colour bias [DN]")
         axes.margins(y=0.1)
         legend_above(axes)
 
-    return _plot_by_iso("biases", isos, alt, draw, more=more)
+    return _plot_by_iso("biases", [one.iso for one in isos], alt, draw, more=more)
 
 
 def _frames_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:

@@ -23,9 +23,8 @@ from eldata.evaluation.scores import natural
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, mean_gains, short
 from eldata.reports.evaluation import FACTS, Cell, Table, fact_cells, field_text, number_cell
-from eldata.reports.figures import draw_plot
-from eldata.reports.html import digits, rendered_with_script, signed
-from eldata.reports.pictures import draw_images, picture_file
+from eldata.reports.html import digits, draw_plot, rendered_with_script, signed
+from eldata.reports.pictures import draw_images
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,8 +39,8 @@ if TYPE_CHECKING:
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Difference
     from eldata.plots.axes import Theme
-    from eldata.reports.figures import Plot
-    from eldata.reports.pictures import DrawnImage, DrawnImages
+    from eldata.reports.html import Plot
+    from eldata.reports.pictures import DrawnImage
 
 
 def write_comparison_page(
@@ -71,17 +70,17 @@ def write_comparison_page(
     RawFileError, PredictionError, EldataError
         If a file is no longer what was scored, or the page cannot be written.
     """
-    drawn = draw_images(images, out, whole=whole, workers=workers) if images else None
+    drawn = draw_images(images, out, whole=whole, workers=workers) if images else ()
     write_text(out, comparison_page(comparison, drawn))
 
 
-def comparison_page(comparison: Comparison, drawn: DrawnImages | None = None) -> str:
+def comparison_page(comparison: Comparison, drawn: Sequence[DrawnImage] = ()) -> str:
     """Return the page; the same comparison gives the same text."""
     first, *others = comparison.names
     return rendered_with_script(
         "compare.html",
         "compare.js",
-        picture_policy="" if drawn is None else " 'self' file:",
+        picture_policy=" 'self' file:" if drawn else "",
         kind=comparison.kind,
         title=f"{' and '.join(_joined(others))} against {first}",
         summary=f"{summary_of(comparison)}.",
@@ -91,7 +90,7 @@ def comparison_page(comparison: Comparison, drawn: DrawnImages | None = None) ->
         sections=[_section(comparison, index) for index in range(len(others))],
         contests=_differences_table(comparison) if comparison.contests else None,
         contests_note=contests_note(comparison),
-        looking=None if drawn is None else _looking(comparison, drawn),
+        looking=_looking(comparison, drawn) if drawn else None,
         facets=_facets(comparison),
         gradient=heat_gradient(),
         rows=_rows(comparison),
@@ -245,17 +244,17 @@ def _facets(comparison: Comparison) -> dict[str, list[str]]:
     return {name: list(dict.fromkeys(values)) for name, values in found.items()}
 
 
-def _looking(comparison: Comparison, drawn: DrawnImages) -> dict[str, Any]:
+def _looking(comparison: Comparison, drawn: Sequence[DrawnImage]) -> dict[str, Any]:
     """Return what the viewer shows: its panels, and of each image addresses, sizes and words.
 
     A panel has a key, what it is called, the key of the error below it, and the key of a keyboard that chooses it.
     """
     images = [
-        _looked_at(scores, image, comparison, drawn.folder)
-        for scores, image in zip(comparison.images, drawn.images, strict=True)
+        _looked_at(place, scores, image, comparison)
+        for place, (scores, image) in enumerate(zip(comparison.images, drawn, strict=True))
     ]
     panels = [
-        *([("input", "Input", "", "i")] if "input" in drawn.images[0].layers else []),
+        *([("input", "Input", "", "i")] if "input" in drawn[0].layers else []),
         *(
             (f"method-{index}", name, f"error-{index}", str(index) if index < 10 else "")
             for index, name in enumerate(comparison.names, start=1)
@@ -270,13 +269,13 @@ def _looking(comparison: Comparison, drawn: DrawnImages) -> dict[str, Any]:
     }
 
 
-def _looked_at(scores: Sequence[UnitScore], image: DrawnImage, comparison: Comparison, folder: str) -> dict[str, Any]:
-    first, kind, (rows, columns) = scores[0], comparison.kind, image.part
+def _looked_at(place: int, scores: Sequence[UnitScore], image: DrawnImage, comparison: Comparison) -> dict[str, Any]:
+    first, kind = scores[0], comparison.kind
     iso, factor = (fact_cells(first, kind) or (Cell("–"), Cell("")))[:2]
     facts = [f"{first.camera}, {first.scene}", f"ISO {iso.text}" if first.iso else "", factor.text]
     facts.append(f"shown {image.brighter:g} times brighter" if image.brighter != 1 else "")
     return {
-        "place": image.number - 1,
+        "place": place,
         "name": first.name,
         "facts": ", ".join(filter(None, facts)),
         "scores": {
@@ -285,8 +284,8 @@ def _looked_at(scores: Sequence[UnitScore], image: DrawnImage, comparison: Compa
             )
             for index, score in enumerate(scores, start=1)
         },
-        "files": {layer: f"{folder}/{picture_file(image, layer)}" for layer in (*image.layers, "whole")},
-        "box": [columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start],
+        "files": image.layers | image.whole,
+        "box": image.box,
         "size": [image.size[1], image.size[0]],
         "limit": digits(image.error_limit, 2),
     }
@@ -333,17 +332,12 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
         axes.set_xlabel(f"{short(first)} [dB]", parse_math=False)
         axes.set_ylabel("difference [dB]")
 
-    better = sum(gain > 0 for _, _, gain in gains)
-    low, high = min(gain for _, _, gain in gains), max(gain for _, _, gain in gains)
-    words: dict[str, object] = {
-        "first": first,
-        "other": other,
-        "better": better,
-        "count": len(finite),
-        "unit": kind.unit,
-    }
-    words |= {"Unit": kind.unit.capitalize(), "units": kind.units, "Units": kind.units.capitalize()}
-    said = {
+    differences = [gain for _, _, gain in gains]
+    better, low, high = sum(gain > 0 for gain in differences), min(differences), max(differences)
+    words: dict[str, object] = {"first": first, "other": other, "better": better, "count": len(finite)}
+    words |= {"unit": kind.unit, "units": kind.units}
+    words |= {name.capitalize(): text.capitalize() for name, text in (("unit", kind.unit), ("units", kind.units))}
+    drawings = {
         "gain-groups": (f"Mean difference of PSNR, {other} minus {first}, of {len(groups)} groups.", draw_groups),
         "gain-scatter": (
             f"PSNR of {other} against that of {first} on {len(finite)} {kind.units}; it is higher on {better}.",
@@ -355,5 +349,6 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
         ),
     }
     return tuple(
-        draw_plot("compare", name, alt, draw, name=f"{name}-{index}", words=words) for name, (alt, draw) in said.items()
+        draw_plot("compare", name, alt, draw, name=f"{name}-{index}", words=words)
+        for name, (alt, draw) in drawings.items()
     )

@@ -27,9 +27,8 @@ from eldata.plots.axes import number
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, strips
 from eldata.protocols.words import FIELDS, in_words
-from eldata.reports.figures import draw_plot
-from eldata.reports.html import digits, rendered_with_script, signed
-from eldata.reports.pictures import ShownImage, ShownImages, show_images
+from eldata.reports.html import digits, draw_plot, rendered_with_script, signed
+from eldata.reports.pictures import show_images
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -45,7 +44,10 @@ if TYPE_CHECKING:
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip
     from eldata.protocols.kinds import Kind
-    from eldata.reports.figures import Plot
+    from eldata.reports.html import Plot
+    from eldata.reports.pictures import DrawnImage
+
+    Shown = tuple[str, UnitScore, DrawnImage]
 
 EACH: Final = 4
 """How many of the worst and of the best are shown."""
@@ -87,19 +89,14 @@ def write_evaluation_page(
     write_text(out, evaluation_page(result, show_images(images)))
 
 
-def evaluation_page(result: EvaluationResult, shown: ShownImages) -> str:
+def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
     """Return the page; the same result and pictures give the same text."""
     kind = result.kind
-    ids = {image.score.path: f"picture-{index}" for index, image in enumerate(shown.images, start=1)}
-    plots = score_plots(
-        scores_in_order(result.scores, result.dataset),
-        kind,
-        rescaled=result.rescales,
-        scenes_shared=result.scenes_shared,
-    )
+    ids = {score.path: f"picture-{index}" for index, (_, score, _) in enumerate(shown, start=1)}
+    plots = score_plots(result)
     sections = [("means", "Means")]
     sections += [("distributions", "Distributions")] if plots else []
-    sections += [("pictures", "Worst and best")] if shown.images else []
+    sections += [("pictures", "Worst and best")] if shown else []
     sections += [("images", f"Every {kind.unit}")] if result.scores else []
     return rendered_with_script(
         "evaluation.html",
@@ -107,24 +104,20 @@ def evaluation_page(result: EvaluationResult, shown: ShownImages) -> str:
         result=result,
         title=f"{_method(result)} on {result.dataset}",
         subtitle=f"Protocol {result.protocol.name} ({short_digest(result.digest)}): {result.protocol.title}",
-        remarks=[
-            *map(str, result.suspicions),
-            *(note[:1].upper() + note[1:] for note in result.notes),
-        ],
+        remarks=[*map(str, result.suspicions), *(note[:1].upper() + note[1:] for note in result.notes)],
         tiles=_tiles(result),
         sections=[*sections, ("provenance", "Provenance")],
         table=table_with_intervals(result),
         interval_note=interval_note(result),
         plots=plots,
-        shown=shown,
+        sizes=sorted({image.box[:1:-1] for _, _, image in shown}),
+        has_whole=any(image.whole for _, _, image in shown),
         each=EACH,
-        error_limit=digits(shown.error_limit, 2),
+        error_limit=digits(shown[0][2].error_limit, 2) if shown else "",
         gradient=heat_gradient(),
         groups={
-            rank: [
-                (ids[image.score.path], image, _facts(image, result)) for image in shown.images if image.rank == rank
-            ]
-            for rank in dict.fromkeys(image.rank for image in shown.images)
+            rank: [_viewer(ids[score.path], score, image, result) for of, score, image in shown if of == rank]
+            for rank in dict.fromkeys(rank for rank, _, _ in shown)
         },
         rows=_rows(result, ids),
         protocol_fields=[(name, _protocol_text(name, value)) for name, value in result.protocol.as_dict().items()],
@@ -260,42 +253,66 @@ def _tiles(result: EvaluationResult) -> list[tuple[str, str, str]]:
     ]
 
 
-def _facts(image: ShownImage, result: EvaluationResult) -> str:
-    score = image.score
-    parts = [
-        *(
-            f"{text} {metric.unit}" if metric.unit else f"{metric.label} {text}"
-            for metric in result.kind.metrics
-            for text in [metric.format(score.values[metric.name])]
-        ),
+_LAYERS = {
+    "input": ("input", "Input{}", "Noisy input{}"),
+    "method-1": ("prediction", "Prediction", "Prediction"),
+    "reference": ("reference", "Reference", "Reference"),
+    "error-1": ("error", "Error", "Absolute error"),
+}
+
+
+def _viewer(name: str, score: UnitScore, image: DrawnImage, result: EvaluationResult) -> dict[str, Any]:
+    """Gather what is shown of one image: identifier, facts, layers with key, label, words and JPEG, and the crop."""
+    times = ("", "") if score.ratio is None else (f" ×{score.ratio:g}", f" times {score.ratio:g}")
+
+    def layers(jpegs: dict[str, bytes], place: str) -> list[tuple[str, str, str, bytes]]:
+        about = f"of {image.frame}: {score.psnr_db:.2f} dB, {place}"
+        known = [(*_LAYERS[layer], jpeg) for layer, jpeg in jpegs.items()]
+        return [
+            (key, label.format(times[0]), f"{alt.format(times[1])} {about}", jpeg) for key, label, alt, jpeg in known
+        ]
+
+    values = [(metric, metric.format(score.values[metric.name])) for metric in result.kind.metrics]
+    facts = [
+        *(f"{text} {metric.unit}" if metric.unit else f"{metric.label} {text}" for metric, text in values),
         *([f"rescaled by {score.rescale:.3f}"] if result.rescales else []),
         f"{score.camera}, {score.scene}",
         *([f"ISO {score.iso:g}"] if score.iso else []),
         *([factor_text(score.ratio, "×")] if score.ratio is not None else ["the frame with the lowest PSNR"]),
         *([f"shown {image.brighter:g} times brighter"] if image.brighter != 1 else []),
     ]
-    return ", ".join(parts)
+    return {
+        "id": name,
+        "image": image,
+        "facts": ", ".join(facts),
+        "layers": layers(image.layers, "centre crop"),
+        "whole": layers(image.whole, "whole"),
+        "box": [100 * length / image.size[1 - place % 2] for place, length in enumerate(image.box)],
+    }
 
 
 # --- plots of scores, one by one: by camera, ISO and factor, and the rescaling that was found ------------------------
 
 
-def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool, scenes_shared: bool) -> tuple[Plot, ...]:
-    """Return the plots of a result; none of no scores. Those of the rescaling only if the protocol rescales."""
-    finite = [score for score in scores if all(math.isfinite(score.values[one.name]) for one in kind.metrics)]
+def score_plots(result: EvaluationResult) -> tuple[Plot, ...]:
+    """Draw the scores of a result, if there are any; the rescaling only if its protocol rescales."""
+    kind, shared = result.kind, result.scenes_shared
+    scores = scores_in_order(result.scores, result.dataset)
+    finite = [score for score in scores if all(math.isfinite(score.values[metric.name]) for metric in kind.metrics)]
     if not finite:
         return ()
     left_out = len(scores) - len(finite)
     note = f" Not drawn: {left_out} without a finite score." if left_out else ""
     groupings: tuple[Grouping, ...] = ("camera", "iso") if any(score.iso for score in finite) else ("camera",)
     plots = [
-        _strips_plot(metric, strips_of(finite, by, metric.name, scenes_shared=scenes_shared), by, kind, note)
+        _strips_plot(metric, strips_of(finite, by, metric.name, scenes_shared=shared), by, kind, note)
         for by in groupings
         for metric in kind.metrics
     ]
     positive = [score for score in finite if math.isfinite(score.rescale) and score.rescale > 0]
-    if rescaled and positive:
-        plots += _rescaling_plots(positive, kind, scenes_shared=scenes_shared)
+    if result.rescales and positive:
+        columns = strips_of(positive, "camera", "rescale", scenes_shared=shared, mean=False)
+        plots += _rescaling_plots(positive, columns, kind.units)
     return tuple(plots)
 
 
@@ -318,9 +335,8 @@ def _strips_plot(metric: Figure, drawn: Sequence[Strip], by: Grouping, kind: Kin
     return draw_plot("evaluation", "by-group", alt, draw, name=name, words=words)
 
 
-def _rescaling_plots(scores: Sequence[UnitScore], kind: Kind, *, scenes_shared: bool) -> tuple[Plot, Plot]:
+def _rescaling_plots(scores: Sequence[UnitScore], drawn: Sequence[Strip], units: str) -> tuple[Plot, Plot]:
     """Draw the factors by camera, and the PSNR over them."""
-    drawn = strips_of(scores, "camera", "rescale", scenes_shared=scenes_shared, mean=False)
     factors = [score.rescale for score in scores]
     points = [(score.ratio, score.rescale, score.psnr_db) for score in scores]
 
@@ -337,10 +353,10 @@ def _rescaling_plots(scores: Sequence[UnitScore], kind: Kind, *, scenes_shared: 
         axes.set(xlabel="rescaled by", ylabel="PSNR [dB]")
 
     alt = f"Factor of each of {len(factors)} predictions by camera, from {min(factors):.3g} to {max(factors):.3g}."
-    over = f"PSNR of {len(scores)} {kind.units} against the factor that each prediction was multiplied by."
+    over = f"PSNR of {len(scores)} {units} against the factor that each prediction was multiplied by."
     return (
-        draw_plot("evaluation", "rescaling", alt, draw_factors, words={"units": kind.units}),
-        draw_plot("evaluation", "rescaling-psnr", over, draw_scores, words={"units": kind.units}),
+        draw_plot("evaluation", "rescaling", alt, draw_factors, words={"units": units}),
+        draw_plot("evaluation", "rescaling-psnr", over, draw_scores, words={"units": units}),
     )
 
 

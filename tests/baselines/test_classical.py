@@ -222,13 +222,6 @@ def test_the_mean_of_stabilised_values_leads_back(gain: float, sigma: float, cou
     assert abs(back - counts) < 4.5 * error + 2e-3
 
 
-def test_without_shot_noise_it_is_a_division() -> None:
-    line = SignalNoise(0.0, 0.04)
-    values = np.array([-0.1, 0.0, 0.7])
-    assert stabilised(values, line) == pytest.approx(values / 0.2)
-    assert unstabilised(stabilised(values, line), line) == pytest.approx(values)
-
-
 # --- thresholding ---------------------------------------------------------------------------------------------------
 
 

@@ -16,7 +16,7 @@ from safetensors.torch import load_file
 
 from eldata.base.workers import Workers
 from eldata.baselines import unet
-from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_parameters, stabilised
+from eldata.baselines.classical import SignalNoise, noise_of_parameters, stabilised
 from eldata.baselines.noisy_frames import denoise
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.baselines.unet import NoiseAwareUNet, remove_noise, stabilise, undo
@@ -159,11 +159,6 @@ def test_what_black_is_off_by_is_taken_off() -> None:
     parameters = NoiseParameters(2.0, 0.0, 3.0, 4.0, 0.5, (1.0, -2.0, 3.0, 0.5))
     found = noise_of_parameters(parameters, ratio=100.0, range_dn=10_000.0).black
     assert found == pytest.approx((0.01, -0.02, 0.03, 0.005), rel=1e-12)
-
-
-def test_other_mosaics_are_refused() -> None:
-    with pytest.raises(DatasetError, match="4 channels; found 9"):
-        BASELINES["network"].denoise(np.zeros((9, 32, 32), np.float32), SignalNoise(0.1, 0.01))
 
 
 def test_denoise_makes_what_the_command_makes(demo_tree: Path, tmp_path: Path) -> None:

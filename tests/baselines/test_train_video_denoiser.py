@@ -12,11 +12,10 @@ import torch
 
 from eldata.baselines import UNet, load_network
 from eldata.cli.main import parser as eldata_parser
-from eldata.examples import train_video_denoiser
 from eldata.examples.train_video_denoiser import main
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
-from tests.baselines.test_train_denoiser import goes_on_to_the_bit, losses_in
+from tests.baselines.test_train_denoiser import losses_in
 from tests.drv_tree import write_raw_clip, write_rgb_clip
 
 if TYPE_CHECKING:
@@ -80,9 +79,3 @@ def test_it_trains_and_leaves_a_network_that_predict_runs(
     with torch.inference_mode():
         expected = network(torch.from_numpy(image)[None])[0].numpy()
     np.testing.assert_allclose(loaded.run(image), expected, atol=1e-5)
-
-
-@pytest.mark.study
-def test_a_killed_run_goes_on_to_the_bit(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = [*SMALL, *moving(data), "--epochs", "6", "--batch-size", "2"]
-    goes_on_to_the_bit(train_video_denoiser, options, tmp_path, 4, capsys)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from eldata.baselines import Training, UNet, absolute_error, load_network, save_network
+from eldata.baselines import Training, UNet, absolute_error
 from eldata.baselines.training import published_rate
-from eldata.datasets import Arrays, SyntheticPairs, set_epoch, training_loader
+from eldata.datasets import Arrays, SyntheticPairs, training_loader
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
@@ -97,16 +97,6 @@ def test_a_training_that_was_ended_goes_on_to_the_bit(precision: str, tmp_path: 
         assert torch.equal(weights(finished)[0], weights(straight)[0])
 
 
-def test_a_loader_goes_on_inside_of_an_epoch() -> None:
-    loader = training_loader(pairs(), 2, seed=1, workers=0)
-    set_epoch(loader, 3)
-    whole = [batch["input"] for batch in loader]
-    set_epoch(loader, 3, first_batch=2)
-    rest = [batch["input"] for batch in loader]
-    assert len(rest) == 2
-    assert all(torch.equal(one, other) for one, other in zip(whole[2:], rest, strict=True))
-
-
 def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.pt"
     ended = training(loss=stopping_at(5), settings={"data": "one"})
@@ -147,18 +137,10 @@ def test_loss_and_optimiser_are_the_published_ones() -> None:
 
 def test_the_network_is_the_published_one() -> None:
     """As many weights as the U-Net of Chen et al. from 4 to 4 channels has, counted by hand."""
-    convolutions = [(4, 32), (32, 32), (32, 64), (64, 64), (64, 128), (128, 128), (128, 256), (256, 256), (256, 512)]
-    convolutions += [
-        (512, 512),
-        (512, 256),
-        (256, 256),
-        (256, 128),
-        (128, 128),
-        (128, 64),
-        (64, 64),
-        (64, 32),
-        (32, 32),
-    ]
+    widths = [32, 64, 128, 256, 512]
+    down = [*zip([4, *widths], widths), *zip(widths, widths)]  # noqa: B905 # the first of a level, and the second
+    up = [*zip(widths[1:], widths), *zip(widths[:-1], widths[:-1])]  # noqa: B905
+    convolutions = [*down, *up]
     enlarging = [(512, 256), (256, 128), (128, 64), (64, 32)]
     count = sum((9 * a + 1) * b for a, b in convolutions) + sum((4 * a + 1) * b for a, b in enlarging) + 33 * 4
     assert sum(one.numel() for one in UNet().parameters()) == count == 7_760_484
@@ -168,14 +150,3 @@ def test_the_network_is_the_published_one() -> None:
     assert not torch.equal(first, other)
     with pytest.raises(ArgumentError, match="width are 1 or more"):
         UNet(width=0)
-
-
-def test_the_exported_file_is_the_network(tmp_path: Path) -> None:
-    network = UNet(9, width=4, depth=2, seed=2)
-    save_network(network, tmp_path / "model.pt2", channels=9, multiple=network.multiple)
-    run = load_network(str(tmp_path / "model.pt2"), device="cpu").run
-    for size in ((8, 8), (64, 20)):
-        image = np.random.default_rng(0).random((9, *size), dtype=np.float32)
-        with torch.inference_mode():
-            expected = network(torch.from_numpy(image)[None])[0].numpy()
-        np.testing.assert_array_equal(run(image), expected)

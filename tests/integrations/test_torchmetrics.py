@@ -218,40 +218,7 @@ def test_one_image_without_a_batch(module: Any) -> None:
     assert all(math.isfinite(value) for value in numbers(plane.compute()).values())
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_an_empty_batch_adds_nothing(module: Any) -> None:
-    preds, target = images(2)
-    metric = module()
-    metric.update(preds, target)
-    before = numbers(metric.compute())
-    metric.update(preds[:0], target[:0])
-    assert numbers(metric.compute()) == before
-
-
-@pytest.mark.parametrize("module", MODULES)
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
-def test_every_floating_type(module: Any, dtype: torch.dtype) -> None:
-    preds, target = (tensor.to(dtype) for tensor in images(2))
-    given, exact = module(), module()
-    given.update(preds.requires_grad_(), target)
-    exact.update(preds.detach().double(), target.double())
-    found, expected = numbers(given.compute()), numbers(exact.compute())
-    assert all(found[name] == pytest.approx(expected[name], rel=1e-12) for name in expected)
-
-
 # --- what a torchmetrics module does ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("module", MODULES)
-def test_forward_gives_the_batch_and_keeps_all(module: Any) -> None:
-    preds, target = images(5)
-    metric, first, second, whole = module(), module(), module(), module()
-    first.update(preds[:2], target[:2])
-    second.update(preds[2:], target[2:])
-    whole.update(preds, target)
-    assert numbers(metric(preds[:2], target[:2])) == numbers(first.compute())
-    assert numbers(metric(preds[2:], target[2:])) == numbers(second.compute())
-    assert numbers(metric.compute()) == numbers(whole.compute())
 
 
 def test_a_collection_keeps_protocols_apart() -> None:
@@ -403,12 +370,6 @@ def test_bad_arguments() -> None:
         ProtocolScore("sid2018")
     with pytest.raises(ValueError, match="Unexpected keyword arguments"):
         PSNR(data_rnage=1.0)
-
-
-def test_a_frame_smaller_than_the_region() -> None:
-    metric = ProtocolScore("sid-tpami")
-    with pytest.raises(ArgumentError, match="too small for the region 'centre-512'"):
-        metric.update(*images(1, size=(100, 100)))
 
 
 # --- without torchmetrics -----------------------------------------------------------------------------------------

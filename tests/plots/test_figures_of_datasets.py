@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import gc
-import sys
-import tracemalloc
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import torch
 from matplotlib.figure import Figure
-from torch.utils.data import DataLoader
 
 from eldata import CalibrationFrames, DRVDataset, ELDDataset, PackedStore, SyntheticPairs
-from eldata.datasets import Arrays, CleanFrames
+from eldata.datasets import Arrays
 from eldata.datasets.looking import drawn_sample
 from eldata.errors import EldataError
 from eldata.isp.preview import brightening, preview
-from eldata.plots.axes import Drawing
 from eldata.raw import read_raw
 from tests.calibration.trees import CAMERA, made_tree
 from tests.drv_tree import small_drv
@@ -80,12 +74,6 @@ def test_a_pair_is_drawn_as_it_is_given(eld: ELDDataset, tree: Tree) -> None:
     assert scale.get_clim() == pytest.approx(np.quantile(expected, (0.002, 0.998)), rel=1e-6)
 
 
-def test_the_index_is_the_datasets(eld: ELDDataset) -> None:
-    assert eld.plot(-1).get_suptitle() == eld.plot(len(eld) - 1).get_suptitle()
-    with pytest.raises(IndexError):
-        eld.plot(len(eld))
-
-
 def test_a_store_draws_its_crop(tree: Tree, tmp_path: Path) -> None:
     packed = PackedStore(pack_tree(tree, tmp_path / "eld.h5").store, crop=16, crops_per_frame=2, seed=3)
     noisy, clean, _ = images_of(packed.plot(5))
@@ -94,18 +82,6 @@ def test_a_store_draws_its_crop(tree: Tree, tmp_path: Path) -> None:
     shown = preview(sample["target"].numpy() * brightening(sample["target"].numpy()), packed._seen(5)[1])
     np.testing.assert_array_equal(clean, shown)
     assert_shows_in_a_notebook(packed, "PackedStore", "eld.h5", "16 x 16, turned")
-
-
-def test_synthetic_pairs_are_drawn(eld: ELDDataset, tree: Tree) -> None:
-    path = tree.data / eld.records[0].reference
-    pairs = SyntheticPairs(CleanFrames([path], keep=1), "SonyA7S2", crop=16)
-    noisy, clean, _ = images_of(pairs.plot(0))
-    sample = pairs[0]
-    brighter = brightening(sample["target"].numpy())
-    sensor = read_raw(path).sensor
-    np.testing.assert_array_equal(noisy, preview(sample["input"].numpy() * brighter, sensor))
-    np.testing.assert_array_equal(clean, preview(sample["target"].numpy() * brighter, sensor))
-    assert_shows_in_a_notebook(pairs, "SyntheticPairs", "SonyA7S2", "16 x 16")
 
 
 def test_arrays_are_shown_in_the_cameras_own_colours() -> None:
@@ -179,37 +155,3 @@ def test_hostile_names_of_folders_stay_text(tree: Tree, tmp_path: Path) -> None:
     figure = drawn_sample(eld[0] | {"camera": "$\\frac{$ 相机", "path": HOSTILE + "\x1b[2J"}, None)
     figure.draw_without_rendering()  # mathematics that cannot be set, and letters that the font lacks, are errors here
     assert "□" in figure.get_suptitle()
-
-
-def test_samples_stay_dicts_that_collate_and_travel(eld: ELDDataset) -> None:
-    """What is shown is not in the way: samples are plain dicts, in a DataLoader's workers too."""
-    assert type(eld[0]) is dict
-    (batch,) = DataLoader(torch.utils.data.Subset(eld, [0]), batch_size=1, num_workers=0)
-    assert torch.equal(batch["input"][0], eld[0]["input"])
-
-
-def test_many_figures_leave_nothing_behind() -> None:
-    values = np.full((1, 4, 64, 64), 0.5, np.float32)
-    pairs = SyntheticPairs(Arrays(values, range_dn=15871.0), "SonyA7S2", crop=None)
-    pyplot = sys.modules.get("matplotlib.pyplot")
-    before = [] if pyplot is None else pyplot.get_fignums()
-
-    def figures(count: int) -> int:
-        for _ in range(count):
-            pairs.plot(0)
-        gc.collect()
-        return sum(type(one) is Drawing for one in gc.get_objects())
-
-    first = figures(2)
-    tracemalloc.start()
-    try:
-        figures(4)
-        held = tracemalloc.get_traced_memory()[0]
-        assert figures(12) <= first
-        grown = tracemalloc.get_traced_memory()[0] - held
-    finally:
-        tracemalloc.stop()
-    # One figure holds three arrays of 64 x 64 and about 0.5 MB of artists; twelve that stayed would be megabytes.
-    assert grown < 200_000
-    pyplot = sys.modules.get("matplotlib.pyplot")
-    assert ([] if pyplot is None else pyplot.get_fignums()) == before

@@ -175,12 +175,6 @@ def test_every_protocol_in_one_line_and_in_a_notebook(name: str) -> None:
     assert_shows_in_a_notebook(protocol, protocol.title, protocol.digest)
 
 
-def test_a_stated_protocol_too() -> None:
-    stated = result(scenes=2).protocol
-    assert_one_line(stated, "Protocol('eld', ")
-    assert_shows_in_a_notebook(stated, stated.digest)
-
-
 # --- a profile ----------------------------------------------------------------------------------------------------
 
 

@@ -21,7 +21,6 @@ from eldata.evaluation.statistics import holm
 from eldata.reports import pictures
 from eldata.reports.comparison import write_comparison_page
 from tests.capture.checklist_browser import Browser, Page
-from tests.evaluation import published_code
 from tests.evaluation.helpers import Tree, perturbed, place, small_tree
 from tests.reports.pages import assert_well_formed, checked
 
@@ -120,36 +119,6 @@ def test_the_page_has_them_lazily_and_is_well_formed(compared: Compared) -> None
     worst = compared.comparison.images[int(np.argmin(gains))][0].path
     assert text.index("<tbody>", text.index('class="sortable"')) < text.index(f">{worst}</a></th>")
     assert text.partition('class="sortable"')[2].partition("</a></th>")[0].endswith(f">{worst}")
-
-
-def test_renderings_are_compared_as_they_are(compared: Compared, tmp_path: Path) -> None:
-    """Under a protocol of sRGB: two predictions that are the reference's own rendering, darker and darker still."""
-    tree = compared.tree
-    references = {pair.path: pair.reference for pair in tree.pairs}
-    methods = {}
-    for name, factor in (("dark", 0.9), ("darker", 0.5)):
-
-        def darkened(_target: NDArray[np.float64], path: str, by: float = factor) -> NDArray[np.float32]:
-            return published_code.sid_reference(tree.files / references[path]).transpose(2, 0, 1) * np.float32(by / 255)
-
-        place(tmp_path / name, tree, darkened)
-        found = evaluate(tmp_path / name, **tree.where, protocol="sid2018", allow_missing=True)
-        methods[name] = found
-    comparison = compare(methods)
-    assert comparison.images
-    dataset, units = units_again(comparison.first, **tree.where)
-    folders = [tmp_path / name for name in methods]
-    images = images_of(
-        list(methods.values()), comparison.images, dataset_folder=dataset, predictions=folders, units=units
-    )
-    write_comparison_page(comparison, tmp_path / "page.html", images=images)
-    made = tmp_path / "page-pictures"
-    names = {path.name.partition("-")[2] for path in made.iterdir()}
-    assert names == {"method-1.jpg", "method-2.jpg", "reference.jpg", "error-1.jpg", "error-2.jpg", "whole.jpg"}
-    means = [np.asarray(Image.open(made / f"0001-{one}.jpg")).mean() for one in ("method-1", "method-2", "reference")]
-    # 8-bit pictures behind a JPEG: the mean of a rendering is kept to a hundredth.
-    assert means == pytest.approx([0.9 * means[2], 0.5 * means[2], means[2]], rel=0.02)
-    assert "sRGB" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 def test_a_page_that_is_written_again_leaves_no_old_pictures(compared: Compared, tmp_path: Path) -> None:
@@ -299,13 +268,3 @@ def test_the_page_with_pictures_fits_its_window(width: int, page: Page) -> None:
         " e.getBoundingClientRect().right > innerWidth + 0.5).map((e) => e.outerHTML.slice(0, 80))"
     )
     assert page.run(outside) == []
-
-
-@pytest.mark.browser
-def test_paper_has_column_names_and_pictures(page: Page) -> None:
-    page.send("Emulation.setEmulatedMedia", media="print")
-    assert page.run("getComputedStyle(document.querySelector('table.sortable thead')).display") == "table-header-group"
-    assert page.run("getComputedStyle(document.querySelector('table.sortable thead th')).position") == "static"
-    assert page.run("getComputedStyle(document.querySelector('.tall')).overflowY") == "visible"
-    assert page.run("document.querySelector('.filters').checkVisibility()") is False
-    assert page.run("[...document.querySelectorAll('.panel')].every((e) => e.checkVisibility())")

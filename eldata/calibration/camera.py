@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from eldata.calibration.findings import Quantity
     from eldata.calibration.frames import IsoFrames
 
 _LEVELS_APART = 0.001  # of the range
@@ -330,31 +329,17 @@ def _no_profile(isos: Sequence[IsoCalibration]) -> str:
         )
     if not any(one.gain for one in isos):
         if any("gain" in one.withheld for one in isos):
-            return "K is withheld at every ISO that has flats; the remarks say why" + _way_on(isos, "gain")
+            return "K is withheld at every ISO that has flats; the remarks say why"
         return (
             "no ISO with bias frames has two flats of the same exposure, so K is not known: take pairs of equal flats "
             "at four exposures or more, from a tenth to nine tenths of the range, or state K (--gain ISO=K, "
             "gains={ISO: K})"
         )
     if not any(one.profile_row for one in isos):
-        why = "the read noise or the colour bias is withheld at every ISO; the remarks say why"
-        return why + _way_on(isos, "shape", "read noise", "colour bias")
+        return "the read noise or the colour bias is withheld at every ISO; the remarks say why"
     if not any(one.gain and one.sigma_tl_dn for one in isos):
         return "no ISO has both K and the read noise; the remarks say why"
     return ""
-
-
-def _way_on(isos: Sequence[IsoCalibration], *quantities: Quantity) -> str:
-    """Return the options that give withheld figures all the same, as the end of a sentence."""
-    findings = [
-        [one for one in iso.findings if one.effect == "withheld" and {*quantities} & {*one.figures}] for iso in isos
-    ]
-    options = {one.option: None for of_iso in findings if all(one.is_acceptable for one in of_iso) for one in of_iso}
-    return (
-        f". Take new frames as they say, or have these figures with a larger error: {' '.join(options)}"
-        if options
-        else ""
-    )
 
 
 # --- ISOs together ----------------------------------------------------------------------------------------------------

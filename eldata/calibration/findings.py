@@ -154,7 +154,6 @@ COARSE: Final = Check("coarse values", (*READ, "row noise", "gain"), is_acceptab
 NO_LINE: Final = Check("uneven flats", ("gain",), _TOO_WIDE, is_acceptable=True)
 FLATS_CORRELATED: Final = Check("correlation in flats", ("gain",), _TOO_WIDE, is_acceptable=True)
 SATURATION: Final = Check("saturation", ("gain",))
-UNEVEN: Final = Check("pairs of unequal brightness")
 TRANSFER: Final = Check("photon transfer", ("gain",))
 SHAPE: Final = Check("shape of the read noise", READ)
 FIT: Final = Check("fit of the read noise", READ)
@@ -165,7 +164,7 @@ BLACK: Final = Check("stated black", ("colour bias",))
 
 CHECKS: Final = (
     *(LIGHT, CORRELATED, COARSE, NO_LINE, FLATS_CORRELATED, SATURATION),
-    *(UNEVEN, TRANSFER, SHAPE, FIT, ROUNDING, CLIPPED, STEP, BLACK),
+    *(TRANSFER, SHAPE, FIT, ROUNDING, CLIPPED, STEP, BLACK),
 )
 """Every one that there is."""
 

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from eldata.calibration.sums import Counts, Mosaic, Plane, Values
 
 _BY_CHANCE = 1e-3  # of the frames' scatter
+_FREQUENCIES = 80
+_FREQUENCIES_TOGETHER = 4  # at least: a single one scatters by all of itself
 _SHAPIRO_VALUES = 5000  # up to which the Shapiro-Wilk test's p is accurate; more are thinned evenly
 
 
@@ -87,8 +89,15 @@ class LineNoise:
         return float(slope), float(level)
 
     def smoothed_power_dn2(self, period: int) -> tuple[Values, Values]:
-        """Return the periodogram in neighbouring frequencies together, for a CFA of this period."""
-        return smoothed_power(self.frequency, self.power_dn2, period)
+        """Return the means of neighbouring frequencies and of their power, for a CFA of this period.
+
+        Without 0 and the multiples of one over the period, which taking off the channels' means has emptied.
+        """
+        places = self.frequency * period
+        kept = np.flatnonzero(np.abs(places - np.rint(places)) > period * self.frequency[1] / 2)
+        groups = np.array_split(kept, max(1, min(_FREQUENCIES, kept.size // _FREQUENCIES_TOGETHER)))
+        frequency, power = (np.array([each[g].mean() for g in groups]) for each in (self.frequency, self.power_dn2))
+        return frequency, power
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -262,21 +271,6 @@ def colour_bias(sums: BiasSums, noise: RowNoise, black_level_dn: Sequence[float]
 
 
 # --- spectra ----------------------------------------------------------------------------------------------------------
-
-_FREQUENCIES = 80
-_FREQUENCIES_TOGETHER = 4  # at least: a single one scatters by all of itself
-
-
-def smoothed_power(frequency: Values, power: Values, period: int) -> tuple[Values, Values]:
-    """Return means of neighbouring frequencies, without those that taking off the channels' means has emptied.
-
-    These are 0 and the multiples of one over the CFA's period.
-    """
-    places = frequency * period
-    kept = np.flatnonzero(np.abs(places - np.rint(places)) > period * frequency[1] / 2)
-    groups = np.array_split(kept, max(1, min(_FREQUENCIES, kept.size // _FREQUENCIES_TOGETHER)))
-    return np.array([frequency[g].mean() for g in groups]), np.array([power[g].mean() for g in groups])
-
 
 _TILE = 256
 _MOST_TILES = 64

@@ -28,15 +28,9 @@ from eldata.calibration.checks import (
     uneven_steps,
 )
 from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.findings import (
-    CLIPPED,
-    NO_LINE,
-    SHAPE,
-    TRANSFER,
-    accept_findings,
-)
+from eldata.calibration.findings import CLIPPED, NO_LINE, SHAPE, TRANSFER, accept_findings
 from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.frames import FrameReader, FramesError, PairLevels, measure_frame, unequal_pair, uneven_light
+from eldata.calibration.frames import FrameReader, FramesError, PairLevels, measure_frame, unequal_pair
 from eldata.calibration.held_out import compared_piece, reproduction
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
 from eldata.calibration.lines import colour_bias, power_spectrum, row_noise
@@ -236,10 +230,6 @@ def _first_pass(
     reader.refuse()
     if stack is None:
         raise DatasetError("no bias frame could be read")
-    if len(used) < MINIMUM_FRAMES and kept is not None:  # without its copies, the set has none to spare
-        for _, frame in reader.read(held_out):
-            stack.add(frame.mosaic)
-        used, kept = [*used, *held_out], None
     if len(used) < MINIMUM_FRAMES:
         raise _too_few(len(used), reader.remarks)
     return fixed_pattern(stack), used, kept
@@ -296,7 +286,7 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(flats)
     of_values = (*saturation(flats), *uneven_steps(flats, transfer))
-    findings = accept_findings((*uneven_light(used), *of_values, *of_line), chosen.accept)
+    findings = accept_findings((*of_values, *of_line), chosen.accept)
     return record(remarks, *findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
 
 
@@ -309,14 +299,16 @@ def _read_pairs(reader: FrameReader, pairs: Sequence[FlatPair]) -> Iterator[tupl
     """Yield the pairs of which both frames can be used; the reader names the others."""
     pair_of = {pair.second: pair for pair in pairs}
     waiting: tuple[FrameRecord, RawFrame] | None = None
-    for record, frame in reader.read_new([record for pair in pairs for record in (pair.first, pair.second)]):
+    for record, frame in reader.read([record for pair in pairs for record in (pair.first, pair.second)]):
         pair = pair_of.get(record)
-        if pair is None:
+        if reader.is_copy(record, frame.mosaic):  # the difference of a frame and its copy holds no noise
+            pass
+        elif pair is None:
             waiting = record, frame
         elif waiting is not None and waiting[0] == pair.first:
             yield pair, waiting[1], frame
             waiting = None
-        del frame
+        del frame  # before the next one is decoded
 
 
 # --- remarks ----------------------------------------------------------------------------------------------------------

@@ -241,18 +241,3 @@ def test_what_is_off_by_all_of_itself_cannot_be_accepted() -> None:
     (accepted,) = accept_findings([bias], ["light"])
     assert (accepted.effect, accepted.is_accepted, accepted.allowance) == ("wider", True, 7.0)
     assert accept_findings([bias], ["coarse values"]) == (bias,)
-
-
-def test_the_way_on_where_everything_is_withheld(isos: tuple[IsoCalibration, ...]) -> None:
-    """It is named where it leads somewhere: not where another check withholds the same figure for good."""
-    seen = replace(spoilt("coarse values", "read noise", 0.2), figures=READ)
-    found = join_isos("TestCamera", [replace(one, findings=(seen,)) for one in isos])
-    assert found.no_profile.endswith('or have these figures with a larger error: --accept "coarse values"')
-    stuck = join_isos("TestCamera", [replace(one, findings=(seen, finding("read noise"))) for one in isos])
-    assert stuck.no_profile.endswith("the remarks say why")
-    accepted = accept_findings([seen], ["coarse values"])
-    unused = join_isos(
-        "TestCamera", [replace(one, findings=accepted) for one in isos], accept=["coarse values", "light"]
-    )
-    assert unused.remarks == ("'light' was accepted, and withholds nothing that could be given",)
-    assert unused.profile.accepted == ("coarse values: lambda, sigma_TL, sigma_G at ISO 100, 400, 1600, 6400",)

@@ -76,24 +76,6 @@ def unequal(step: float) -> Callable[..., list[Pair]]:
     return lambda setting, generator: clean(setting, generator, step)
 
 
-def relit(
-    light: Callable[[Setting, np.random.Generator], NDArray[np.float64]], most: float
-) -> Callable[..., list[Pair]]:
-    """Each frame has light of its own, that of the lens times this; ``most``: what it may be."""
-
-    def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
-        body, noise = body_of(setting, generator)
-        steady = body.light
-
-        def frame(share: float) -> NDArray[np.uint16]:
-            body.light = (steady * light(setting, generator)).astype(np.float32)
-            return body.flat_frame(noise, share * (WHITE - BLACK) / most, generator)
-
-        return [(frame(share), frame(share)) for share in setting.levels]
-
-    return make
-
-
 def chart_light(shape: tuple[int, int], shift: tuple[float, float], blur: float = 1.5) -> NDArray[np.float32]:
     """The light of a chart that is turned by a degree, by CFA site: reflectances, blurred by a lens."""
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
@@ -119,11 +101,18 @@ def chart_light(shape: tuple[int, int], shift: tuple[float, float], blur: float 
 def chart(pixels: float) -> Callable[..., list[Pair]]:
     """Pairs of a chart that moves between any two frames by so many pixels, one standard deviation."""
 
-    def moved(setting: Setting, generator: np.random.Generator) -> NDArray[np.float64]:
-        shift = pixels * generator.standard_normal(2)
-        return chart_light(setting.shape, (float(shift[0]), float(shift[1]))).astype(np.float64)
+    def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
+        body, noise = body_of(setting, generator)
+        steady = body.light
 
-    return relit(moved, 1.0)
+        def frame(share: float) -> NDArray[np.uint16]:
+            down, across = pixels * generator.standard_normal(2)
+            body.light = steady * chart_light(setting.shape, (float(down), float(across)))
+            return body.flat_frame(noise, share * (WHITE - BLACK), generator)
+
+        return [(frame(share), frame(share)) for share in setting.levels]
+
+    return make
 
 
 def bent(share: float) -> Callable[..., list[Pair]]:

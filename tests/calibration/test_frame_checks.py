@@ -24,8 +24,8 @@ from eldata.calibration.one_iso import decodings
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.table import load_records, save_records
 from eldata.raw import read_raw, write_dng
-from eldata.records import Exposure, FrameRecord, Sensor
-from tests.calibration.simulation import BAYER, XTRANS, Body, Camera
+from eldata.records import FrameRecord, Sensor
+from tests.calibration.simulation import BAYER, Body, Camera
 from tests.calibration.trees import FrameTree, calibrated_iso, made_tree, problems_of, relative, rewritten
 from tests.cases import in_one_test
 
@@ -98,11 +98,6 @@ def other_model(path: Path) -> None:
     rewritten(path, model="Another")
 
 
-def without_exif(path: Path) -> None:
-    raw = read_raw(path)
-    write_dng(path, raw.mosaic, raw.sensor, Exposure())
-
-
 def without_time(path: Path) -> None:
     raw = read_raw(path)
     write_dng(path, raw.mosaic, raw.sensor, replace(raw.exposure, exposure_s=None))
@@ -122,8 +117,7 @@ HEADERS: dict[str, tuple[Callable[[Path], object], str, list[str]]] = {
     "not raw": (lambda path: path.write_bytes(b"a text\n" * 100), "content", ["a whole raw file"]),
     "other model": (other_model, "camera", ["Demo Gamma", "Another", "its own camera"]),
     "other ISO": (lambda path: rewritten(path, iso=Fraction(200)), "iso", ["200", "folder"]),
-    "no EXIF": (without_exif, "exposure", ["no ISO", "lost its EXIF"]),
-    "no exposure time": (without_time, "exposure", ["no exposure time"]),
+    "no exposure time": (without_time, "exposure", ["no exposure time", "lost its EXIF"]),
     "other time": (longer, "exposure_s", ["1/8000 s like the other bias frames of ISO 1600", "1/4 s"]),
     "link": (leading_outside, "content", ["leads outside"]),
 }
@@ -133,7 +127,7 @@ def test_headers(tree: FrameTree) -> None:
     """All at once, of both ISOs and roles."""
     files = [
         *(path for iso in ISOS for path in tree.files("flat", iso)[1:3]),
-        *tree.files("bias", 100)[:2],
+        tree.files("bias", 100)[0],
         tree.files("bias", 1600)[4],
     ]
     spoilt = dict(zip(files, sorted(HEADERS, key="other time".__eq__), strict=True))
@@ -190,17 +184,11 @@ PIXELS: dict[str, tuple[Callable[[Path], None], str, list[str]]] = {
     "noise of another ISO": (lambda path: rewritten(path, mosaic=noisier), "noise", ["DN as in the others"]),
     "size": (lambda path: rewritten(path, mosaic=cropped), "height", ["256 as in DemoGamma/bias/ISO100/", "254"]),
     "CFA phase": (lambda path: rewritten(path, cfa=((1, 0), (2, 3))), "cfa", ["((0, 1), (3, 2))", "((1, 0), (2, 3))"]),
-    "white level": (lambda path: rewritten(path, white_level_dn=16000.0), "white_level_dn", ["16383", "16000"]),
     "black level": (lambda path: rewritten(path, black_level_dn=(500.0,) * 4), "black_level_dn", ["512", "500"]),
-    "another kind of sensor": (
-        lambda path: rewritten(path, cfa=XTRANS, black_level_dn=(512.0,) * 3),
-        "cfa",
-        ["((0, 1), (3, 2))", "(0, 2, 1, 2, 0, 1)"],
-    ),
 }
 
 
-@pytest.mark.parametrize(("name", "place"), list(zip(PIXELS, (0, 3, 5, 0, 3, 5, 0), strict=True)))
+@pytest.mark.parametrize(("name", "place"), list(zip(PIXELS, (0, 3, 5, 0, 3), strict=True)))
 def test_bias_frames(name: str, place: int, tree: FrameTree) -> None:
     """The odd one is named: the first one, one in the middle, or the one that is kept out."""
     path = tree.files("bias", 100)[place]

@@ -134,8 +134,7 @@ def without_flats(tree: FrameTree, *isos: int) -> None:
 def test_bias_frames_alone_with_a_stated_gain(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
     without_flats(tree, *ISOS)
     stated = [option for iso in ISOS for option in ("--gain", f"{iso}={iso / 400}")]
-    targets = ("-o", tmp_path / "p.json", "--json", tmp_path / "d.json", "--html", tmp_path / "r.html")
-    outcome = eldata("calibrate", tree.root, *stated, *targets)
+    outcome = eldata("calibrate", tree.root, *stated, "-o", tmp_path / "p.json", "--json", tmp_path / "d.json")
     assert (outcome.code, outcome.err) == (0, "")
     assert "12 bias and 0 flat frames at 3 ISOs, K stated at 3 of them" in outcome.out
     assert "0.25 (stated)" in outcome.out
@@ -144,11 +143,8 @@ def test_bias_frames_alone_with_a_stated_gain(eldata: Cli, tree: FrameTree, tmp_
     profile = CameraProfile.load(tmp_path / "p.json")
     assert [row.gain_dn_per_e for row in profile.rows] == [0.25, 1.0, 4.0]
     assert profile.source.endswith("K stated at 3 of them")
-    assert (line := profile.gain_modes[0].tukey_lambda_fit) is not None
-    assert line.sigma > 0
     data = json.loads((tmp_path / "d.json").read_text())
     assert [(one["gain_error"], one["gain_is_stated"]) for one in data["isos"]] == [(None, True)] * 3
-    assert "0.25 (stated)" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
 
 def test_a_gain_from_another_profile(eldata: Cli, pristine: FrameTree, tree: FrameTree, tmp_path: Path) -> None:
@@ -183,7 +179,7 @@ def test_wrong_gains_are_one_line(stated: str, words: str, eldata: Cli, pristine
 def test_flats_alone_give_k(eldata: Cli, pristine: FrameTree, tree: FrameTree, tmp_path: Path) -> None:
     for path in tree.camera.glob("bias/*/*"):
         path.unlink()
-    outcome = eldata("calibrate", tree.root, "--json", tmp_path / "d.json", "--html", tmp_path / "r.html")
+    outcome = eldata("calibrate", tree.root, "--json", tmp_path / "d.json")
     assert (outcome.code, outcome.err) == (0, "")
     assert "K alone, from flats without bias frames" in outcome.out
     assert "no profile can be made: there are flats alone, which give K" in outcome.out
@@ -193,9 +189,6 @@ def test_flats_alone_give_k(eldata: Cli, pristine: FrameTree, tree: FrameTree, t
         assert one["iso"] == true["iso"]
         assert abs(one["gain_dn_per_e"] - true["gain_dn_per_e"]) < 5 * one["gain_error"] < 0.1 * true["gain_dn_per_e"]
         assert "there are no bias frames, so K is all that is known" in one["remarks"]
-    page = (tmp_path / "r.html").read_text(encoding="utf-8")
-    assert "K alone, from flats without bias frames" in page
-    assert "No profile can be made: there are flats alone" in page
     assert eldata("calibrate", tree.root, "-o", tmp_path / "p.json").code == 1
     assert not (tmp_path / "p.json").exists()
 
@@ -264,9 +257,6 @@ def test_unusable_input_is_one_line(eldata: Cli, pristine: FrameTree, tmp_path: 
     assert_one_line(eldata("calibrate", tmp_path), "holds no folder bias or flat")
     assert_one_line(eldata("calibrate", pristine.root, "--camera", "Sony"), f"no camera 'Sony'; there is {CAMERA}")
     assert_one_line(eldata("calibrate", pristine.root, "--root", tmp_path), "--root", "manifest")
-    debug = eldata("calibrate", tmp_path / "none", "--debug")
-    assert debug.code == 2
-    assert "Traceback" in debug.err
 
 
 @pytest.mark.parametrize(
@@ -286,7 +276,6 @@ def test_wrong_usage_is_one_line(arguments: list[str], words: list[str], eldata:
 
 
 def test_a_dark_shading(eldata: Cli, pristine: FrameTree, tmp_path: Path) -> None:
-    """The mean of the bias frames of each ISO is what it says, to the error that it states."""
     target, data = tmp_path / "s.npz", tmp_path / "d.json"
     outcome = eldata("calibrate", pristine.root, "--mode", "none", "--dark-shading", target, "--json", data)
     assert (outcome.code, outcome.err) == (0, "")
@@ -294,10 +283,3 @@ def test_a_dark_shading(eldata: Cli, pristine: FrameTree, tmp_path: Path) -> Non
     assert f"dark shading: {target}; ISO 100, 400, 1600; " in outcome.out
     assert shading.digest in outcome.out
     assert json.loads(data.read_text(encoding="utf-8"))["dark_shading"] == json.loads(json.dumps(shading.summary()))
-    frames = pristine.frames()
-    for iso in ISOS:
-        read = [frames.read(record) for record in frames.of("bias", iso)]
-        black = np.tile(np.array(read[0].sensor.black_level_dn)[np.array(read[0].sensor.cfa)], (128, 192))
-        off = (np.mean([frame.mosaic for frame in read], axis=0) - black - shading.at(iso))[~shading.hot]
-        assert abs(off.mean()) < 0.01
-        assert off.std() < shading.measured(iso).sigma_dn / np.sqrt(4), "a line of two parameters follows three means"

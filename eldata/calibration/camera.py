@@ -321,7 +321,7 @@ def _common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[float |
 
 
 def _no_profile(isos: Sequence[IsoCalibration]) -> str:
-    """Return why these figures do not make a profile; empty if they do."""
+    """Return the reason that these figures make no profile; empty if they make one."""
     if not isos:
         return (
             "there are flats alone, which give K and no noise of the dark: take ten bias frames or more of each ISO, "
@@ -353,8 +353,7 @@ def check_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, 
     It is beyond 3 % of white, or jumps: by more than a thousandth of white, the noise, and five times what the others
     differ by. One that jumps is withheld.
     """
-    given = [one for one in isos if one.colour_bias is not None]
-    means = {one.iso: float(np.mean(one.bias.bias_dn)) for one in given}
+    means = {one.iso: float(np.mean(one.bias.bias_dn)) for one in isos if one.colour_bias is not None}
     judged = []
     for one in isos:
         others = [mean for iso, mean in means.items() if iso != one.iso]

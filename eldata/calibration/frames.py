@@ -368,31 +368,19 @@ def odd_bias_frames(figures: Mapping[FrameRecord, tuple[float, float]]) -> list[
     return problems
 
 
-@dataclass(frozen=True, slots=True)
-class PairLevels:
-    """The mean levels over black of a pair of flats, DN."""
-
-    pair: FlatPair
-    first_dn: float
-    second_dn: float
-
-    @classmethod
-    def of(cls, pair: FlatPair, first: RawFrame, second: RawFrame) -> PairLevels:
-        """Measure a pair on some 100,000 pixels of each frame."""
-        black = float(np.mean(first.sensor.black_level_dn))
-        return cls(pair, *(measure_frame(frame.mosaic)[0] - black for frame in (first, second)))
-
-    def __str__(self) -> str:
-        return f"{self.pair.first.path} and {self.pair.second.path} ({self.first_dn:.0f} and {self.second_dn:.0f} DN)"
+def measure_pair(first: RawFrame, second: RawFrame) -> tuple[float, float]:
+    """Return the mean levels over black of two flats, DN."""
+    black = float(np.mean(first.sensor.black_level_dn))
+    return measure_frame(first.mosaic)[0] - black, measure_frame(second.mosaic)[0] - black
 
 
-def unequal_pair(levels: PairLevels) -> str | None:
+def unequal_pair(names: str, levels_dn: tuple[float, float]) -> str | None:
     """Return a remark if the two flats of a pair are too unlike to be one scene in one light, else ``None``."""
-    apart = abs(levels.first_dn - levels.second_dn) - 1.0  # a DN is no difference
-    if apart <= _UNLIKE_PAIR * max(levels.first_dn, levels.second_dn, 1.0):
+    apart = abs(levels_dn[0] - levels_dn[1]) - 1.0  # a DN is no difference
+    if apart <= _UNLIKE_PAIR * max(*levels_dn, 1.0):
         return None
     return (
-        f"{levels.pair.first.path} and {levels.pair.second.path} were left out: their levels over black are "
-        f"{levels.first_dn:.0f} and {levels.second_dn:.0f} DN; equal exposures of a constant light differ by some per "
-        f"cent, and beyond {_UNLIKE_PAIR:.0%} they are not taken for two frames of one scene"
+        f"{names} were left out: their levels over black are {levels_dn[0]:.0f} and {levels_dn[1]:.0f} DN; equal "
+        f"exposures of a constant light differ by some per cent, and beyond {_UNLIKE_PAIR:.0%} they are not taken for "
+        "two frames of one scene"
     )

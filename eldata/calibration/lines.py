@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.sums import channels_of, checked_black_level, levels_and_lines, sites
+from eldata.calibration.sums import channels_of, levels_and_lines, sites
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -238,19 +238,20 @@ def colour_bias(sums: BiasSums, noise: RowNoise, black_level_dn: Sequence[float]
     frames the variance ``(sigma_pixel^2 / N + sum over lines of sigma_line^2 (m / N)^2) / n``. What the frames' means
     scatter by beyond that, over all channels together, enlarges it.
 
-    Raises
-    ------
-    ArgumentError
-        If there is not one black level per channel.
-    DatasetError
-        If the frames added are not those of the fixed pattern.
+    Parameters
+    ----------
+    sums
+        The bias frames.
+    noise
+        Their row noise.
+    black_level_dn
+        As recorded, one for each CFA channel.
     """
     from scipy.special import chdtri, ndtri, stdtrit
 
-    sums.check_frames()
     table = np.array(sums.means_dn)
-    frames, channels = table.shape
-    bias = table - checked_black_level(black_level_dn, channels)
+    frames = len(table)
+    bias = table - np.asarray(black_level_dn)
     lines = ((sums.row_pixels, noise.rows), (sums.column_pixels, noise.columns))
     pixels = sums.row_pixels.sum(axis=0)
     of_frame = noise.pixel_variance_dn2 / pixels + sum(

@@ -30,7 +30,7 @@ from eldata.calibration.checks import (
 from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.findings import CLIPPED, NO_LINE, SHAPE, TRANSFER, accept_findings
 from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.frames import FrameReader, FramesError, PairLevels, measure_frame, unequal_pair
+from eldata.calibration.frames import FrameReader, FramesError, measure_frame, measure_pair, unequal_pair
 from eldata.calibration.held_out import compared_piece, reproduction
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
 from eldata.calibration.lines import colour_bias, power_spectrum, row_noise
@@ -254,7 +254,7 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
     if not chosen.pairs:
         return record(() if stated is not None else (no_pairs(chosen),))
     flats: FlatPairs | None = None
-    used: list[PairLevels] = []
+    used: list[str] = []
     remarks: list[str] = []
     for pair, first, second in _read_pairs(reader, chosen.pairs):
         if flats is None:
@@ -263,12 +263,12 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
             black, defects = (sensor.black_level_dn, None) if fixed is None else (fixed.level_dn, fixed.defects)
             floor_dn = 0 if fixed is None else fixed.floor_dn or 0
             flats = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects, floor_dn=floor_dn)
-        levels = PairLevels.of(pair, first, second)
-        unequal = unequal_pair(levels)
+        names, levels_dn = f"{pair.first.path} and {pair.second.path}", measure_pair(first, second)
+        unequal = unequal_pair(names, levels_dn)
         if unequal is not None:
             remarks.append(unequal)
         else:
-            used.append(levels)
+            used.append(f"{names} ({levels_dn[0]:.0f} and {levels_dn[1]:.0f} DN)")
             flats.add(first.mosaic, second.mosaic)
         del first, second  # before the next ones are decoded
     reader.refuse()
@@ -279,7 +279,7 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
     try:
         transfer = photon_transfer(flats)
     except DatasetError as error:
-        no_line = _no_line(f"{error}; pairs used: {', '.join(map(str, used))}")
+        no_line = _no_line(f"{error}; pairs used: {', '.join(used)}")
         return record(remarks, *saturation(flats), no_line)
     of_line, spatial = tuple(flat_findings(transfer)), None
     if all(one.check != NO_LINE.name for one in of_line):  # of a scene, a frame's variance is the scene's own
@@ -291,7 +291,7 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
 
 
 def _no_line(why: str) -> Finding:
-    """Return that there is no photon transfer line; the read noise is measured all the same."""
+    """Return the finding that there is no photon transfer line; the read noise is measured all the same."""
     return TRANSFER.find(math.nan, math.nan, why, "withheld", TRANSFER.figures)
 
 

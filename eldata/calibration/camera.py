@@ -134,7 +134,7 @@ def calibrate(
     if not measured:
         problems = [problem for one in failed for problem in one.problems]
         raise FramesError(sorted(problems, key=lambda problem: problem.path))
-    return join_isos(camera or frames.camera, measured, failed, starts, accept, notes)
+    return join_isos(camera or frames.camera, measured, failed, starts, notes)
 
 
 def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
@@ -214,7 +214,6 @@ def join_isos(
     measured: Iterable[IsoGain],
     failed: Iterable[FailedIso] = (),
     modes: Sequence[float] | None = None,
-    accept: Iterable[str] = (),
     notes: Iterable[str] = (),
 ) -> Calibration:
     """Return the calibration of a camera from its ISOs: fits over K, profile, remarks.
@@ -229,8 +228,6 @@ def join_isos(
         The ISOs that are left out.
     modes
         The first ISO of each gain mode but the lowest, where they are stated.
-    accept
-        The checks that were to be accepted where the ISOs were measured; one that withheld nothing gets a remark.
     notes
         Further remarks.
     """
@@ -240,10 +237,6 @@ def join_isos(
     with_bias = check_stated_black([one for one in everything if isinstance(one, IsoCalibration)])
     isos, step_dn = _take_common_step(with_bias, everything, remarks)
     fitted, problem = fit_modes(isos, modes, remarks)
-    used = {finding.check for one in everything for finding in one.findings if finding.is_accepted}
-    remarks += [
-        f"{name!r} was accepted, and withholds nothing that could be given" for name in accept if name not in used
-    ]
     black, white = _common_levels(everything, remarks)
     bias, flat = sum(one.bias_frames for one in isos), sum(one.flat_frames for one in everything)
     source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {counted(len(everything), 'ISO')}"

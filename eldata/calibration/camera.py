@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from eldata.calibration.findings import Quantity
     from eldata.calibration.frames import IsoFrames
 
 _LEVELS_APART = 0.001  # of the range
@@ -135,7 +134,7 @@ def calibrate(
     if not measured:
         problems = [problem for one in failed for problem in one.problems]
         raise FramesError(sorted(problems, key=lambda problem: problem.path))
-    return join_isos(camera or frames.camera, measured, failed, starts, accept, notes)
+    return join_isos(camera or frames.camera, measured, failed, starts, notes)
 
 
 def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
@@ -215,7 +214,6 @@ def join_isos(
     measured: Iterable[IsoGain],
     failed: Iterable[FailedIso] = (),
     modes: Sequence[float] | None = None,
-    accept: Iterable[str] = (),
     notes: Iterable[str] = (),
 ) -> Calibration:
     """Return the calibration of a camera from its ISOs: fits over K, profile, remarks.
@@ -230,8 +228,6 @@ def join_isos(
         The ISOs that are left out.
     modes
         The first ISO of each gain mode but the lowest, where they are stated.
-    accept
-        The checks that were to be accepted where the ISOs were measured; one that withheld nothing gets a remark.
     notes
         Further remarks.
     """
@@ -241,10 +237,6 @@ def join_isos(
     with_bias = check_stated_black([one for one in everything if isinstance(one, IsoCalibration)])
     isos, step_dn = _take_common_step(with_bias, everything, remarks)
     fitted, problem = fit_modes(isos, modes, remarks)
-    used = {finding.check for one in everything for finding in one.findings if finding.is_accepted}
-    remarks += [
-        f"{name!r} was accepted, and withholds nothing that could be given" for name in accept if name not in used
-    ]
     black, white = _common_levels(everything, remarks)
     bias, flat = sum(one.bias_frames for one in isos), sum(one.flat_frames for one in everything)
     source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {counted(len(everything), 'ISO')}"
@@ -322,7 +314,7 @@ def _common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[float |
 
 
 def _no_profile(isos: Sequence[IsoCalibration]) -> str:
-    """Return why these figures do not make a profile; empty if they do."""
+    """Return the reason that these figures make no profile; empty if they make one."""
     if not isos:
         return (
             "there are flats alone, which give K and no noise of the dark: take ten bias frames or more of each ISO, "
@@ -330,31 +322,17 @@ def _no_profile(isos: Sequence[IsoCalibration]) -> str:
         )
     if not any(one.gain for one in isos):
         if any("gain" in one.withheld for one in isos):
-            return "K is withheld at every ISO that has flats; the remarks say why" + _way_on(isos, "gain")
+            return "K is withheld at every ISO that has flats; the remarks say why"
         return (
             "no ISO with bias frames has two flats of the same exposure, so K is not known: take pairs of equal flats "
             "at four exposures or more, from a tenth to nine tenths of the range, or state K (--gain ISO=K, "
             "gains={ISO: K})"
         )
     if not any(one.profile_row for one in isos):
-        why = "the read noise or the colour bias is withheld at every ISO; the remarks say why"
-        return why + _way_on(isos, "shape", "read noise", "colour bias")
+        return "the read noise or the colour bias is withheld at every ISO; the remarks say why"
     if not any(one.gain and one.sigma_tl_dn for one in isos):
         return "no ISO has both K and the read noise; the remarks say why"
     return ""
-
-
-def _way_on(isos: Sequence[IsoCalibration], *quantities: Quantity) -> str:
-    """Return the options that give withheld figures all the same, as the end of a sentence."""
-    findings = [
-        [one for one in iso.findings if one.effect == "withheld" and {*quantities} & {*one.figures}] for iso in isos
-    ]
-    options = {one.option: None for of_iso in findings if all(one.is_acceptable for one in of_iso) for one in of_iso}
-    return (
-        f". Take new frames as they say, or have these figures with a larger error: {' '.join(options)}"
-        if options
-        else ""
-    )
 
 
 # --- ISOs together ----------------------------------------------------------------------------------------------------
@@ -368,8 +346,7 @@ def check_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, 
     It is beyond 3 % of white, or jumps: by more than a thousandth of white, the noise, and five times what the others
     differ by. One that jumps is withheld.
     """
-    given = [one for one in isos if one.colour_bias is not None]
-    means = {one.iso: float(np.mean(one.bias.bias_dn)) for one in given}
+    means = {one.iso: float(np.mean(one.bias.bias_dn)) for one in isos if one.colour_bias is not None}
     judged = []
     for one in isos:
         others = [mean for iso, mean in means.items() if iso != one.iso]

@@ -71,7 +71,7 @@ def bias_findings(
 
 
 def _of_read_noise(read: ReadNoise, share: float) -> dict[Quantity, tuple[float, float]]:
-    """Return by which share the read noise's figures may be off, with the smallest relative error among them."""
+    """Return the share by which each figure of the read noise may be off, and the smallest relative error of them."""
     of_scales = read.sigma_tl_error_dn / read.sigma_tl_dn, read.sigma_gauss_error_dn / read.sigma_gauss_dn
     error = min(read.tukey_lambda_error, *of_scales)
     return {"shape": (share, error), "read noise": (share, error)}
@@ -193,7 +193,7 @@ def _find_steps(rows: RowNoise, read: ReadNoise, step_dn: float) -> Iterator[Fin
 
 
 def mean_step(codes: Counts) -> float:
-    """Return by how many DN the values of frames step in the mean over the pixels, in the channel where that is most.
+    """Return the mean step of the values of frames over the pixels, DN, in the channel where it is widest.
 
     1 of a plain converter. Lossy compression by a curve, multiplication after the conversion and fewer bits than the
     file has room for leave out values between others. Wider gaps lie between two levels.
@@ -219,7 +219,7 @@ def mean_step(codes: Counts) -> float:
 
 
 def code_step(codes: Counts) -> int:
-    """Return by how many DN the values of frames step: 1, or 4 where 12 bits are stored as 14; 0 if that is not known.
+    """Return the step of the values of frames, DN: 1, or 4 where 12 bits are stored as 14; 0 if it is not known.
 
     The greatest common divisor, up to 64 DN, of the distances from each channel's most frequent value, of all but one
     in a thousand of the pixels that have another; of fewer than a thousand such pixels it is not known.
@@ -335,7 +335,7 @@ def read_noise_findings(
 def _find_rounding(
     read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: float, rounding_dn: float
 ) -> Iterator[Finding]:
-    """Yield what rounding to steps of so many DN does to figures of quiet noise.
+    """Yield the findings on quiet noise, whose figures rounding to steps of so many DN changes.
 
     It adds a twelfth to the variance, whatever the noise, only where the pixels' levels lie everywhere between two
     steps, or the noise is wide. Where they share a fraction of one, it makes noise smaller or larger, moves the mean,
@@ -404,7 +404,7 @@ _OF_ERROR = 0.2  # of K: less is in it
 
 
 def flat_findings(transfer: PhotonTransfer) -> Iterator[Finding]:
-    """Yield what the checks of one ISO's flats say of K."""
+    """Yield the findings of one ISO's flats on K."""
     yield from _find_flat_correlation(transfer)
     yield from _find_bent_line(transfer)
 

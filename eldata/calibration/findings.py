@@ -78,18 +78,13 @@ class Finding:
         return self.effect == "withheld" and self.check in ACCEPTABLE and is_small
 
     @property
-    def option(self) -> str:
-        """How ``eldata calibrate`` is told to accept this check."""
-        return f'--accept "{self.check}"'
-
-    @property
     def remark(self) -> str:
         """The text, and what becomes of the figures for it."""
         if self.effect == "remark" or not self.figures:
             return self.text
         fate = f"withheld: {list_symbols(self.figures)}"
         if self.is_acceptable:
-            fate += f"; to have it all the same, with a larger error: {self.option}"
+            fate += f'; to have it all the same, with a larger error: --accept "{self.check}"'
         elif self.is_accepted:
             fate = f"accepted, with a larger error: {list_symbols(self.figures)}"
         elif self.effect == "wider":
@@ -133,7 +128,7 @@ class Check:
     def judge(
         self, statistic: float, threshold: float, text: str, shares: Mapping[Quantity, tuple[float, float]]
     ) -> Iterator[Finding]:
-        """Yield what follows from what was seen, given by what share it may put each figure off, and its own error."""
+        """Yield the findings that follow, given the share by which each figure may be off, and its own error."""
         off = {figure: share for figure, (share, _) in shares.items() if share > self.most_allowed}
         wider = {figure: share for figure, (share, error) in shares.items() if error < share <= self.most_allowed}
         if off:
@@ -154,7 +149,6 @@ COARSE: Final = Check("coarse values", (*READ, "row noise", "gain"), is_acceptab
 NO_LINE: Final = Check("uneven flats", ("gain",), _TOO_WIDE, is_acceptable=True)
 FLATS_CORRELATED: Final = Check("correlation in flats", ("gain",), _TOO_WIDE, is_acceptable=True)
 SATURATION: Final = Check("saturation", ("gain",))
-UNEVEN: Final = Check("pairs of unequal brightness")
 TRANSFER: Final = Check("photon transfer", ("gain",))
 SHAPE: Final = Check("shape of the read noise", READ)
 FIT: Final = Check("fit of the read noise", READ)
@@ -165,7 +159,7 @@ BLACK: Final = Check("stated black", ("colour bias",))
 
 CHECKS: Final = (
     *(LIGHT, CORRELATED, COARSE, NO_LINE, FLATS_CORRELATED, SATURATION),
-    *(UNEVEN, TRANSFER, SHAPE, FIT, ROUNDING, CLIPPED, STEP, BLACK),
+    *(TRANSFER, SHAPE, FIT, ROUNDING, CLIPPED, STEP, BLACK),
 )
 """Every one that there is."""
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.sums import FrameSums, channel_histograms, checked_black_level, segment_sums
+from eldata.calibration.sums import FrameSums, channel_histograms, segment_sums
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -146,10 +146,11 @@ class FlatPairs(FrameSums):
     ) -> None:  # fmt: skip
         super().__init__(cfa, defects)
         self.floor_dn = floor_dn
-        self.black = checked_black_level(black_level_dn, self.channels)
-        if not math.isfinite(white_level_dn) or not white_level_dn > self.black.max():
+        self.black = np.asarray(black_level_dn, dtype=np.float64)
+        if self.black.shape != (self.channels,) or not self.black.max() < white_level_dn < math.inf:
             raise ArgumentError(
-                f"the white level ({white_level_dn} DN) must lie above every black level ({self.black.tolist()})"
+                f"expected {self.channels} black levels, one per CFA channel, and a white level above them; found "
+                f"{black_level_dn} and {white_level_dn} DN"
             )
         self.limit_dn = float(white_level_dn - MARGIN * (white_level_dn - self.black.max()))
         self._level_dn = (self.limit_dn - float(self.black.min())) / _LEVELS

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.calibration.findings import UNEVEN
 from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, UnusableRawError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from fractions import Fraction
 
-    from eldata.calibration.findings import Finding
     from eldata.calibration.sums import Mosaic
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, RawHeader, Sensor
@@ -205,13 +203,6 @@ class FrameReader:
                 yield record, frame
             del frame
 
-    def read_new(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
-        """Yield the frames without copies of others: the difference of a frame and its copy holds no noise."""
-        for record, frame in self.read(records):
-            if not self.is_copy(record, frame.mosaic):
-                yield record, frame
-            del frame  # before the next one is decoded
-
     def is_copy(self, record: FrameRecord, mosaic: Mosaic) -> bool:
         """Tell whether a frame repeats the pixels of another one, and remark on it.
 
@@ -304,14 +295,12 @@ def compare_sensors(record: FrameRecord, sensor: Sensor, usual: Sensor, example:
     advice = "take all frames of a camera in one raw mode, and leave this one out"
     for field in ("height", "width", "cfa", "black_level_dn", "white_level_dn"):
         expected, differs = getattr(usual, field), getattr(sensor, field)
-        # LibRaw measures some black levels in each file's masked pixels.
-        if expected != differs and not (field == "black_level_dn" and _within_1_dn(expected, differs)):
+        if field == "black_level_dn" and len(expected) == len(differs):
+            # LibRaw measures some black levels in each file's masked pixels.
+            expected = differs if all(abs(a - b) < 1 for a, b in zip(expected, differs, strict=True)) else expected
+        if expected != differs:
             problems.append(frame_problem(record, field, f"{expected} as in {example}", str(differs), advice))
     return problems
-
-
-def _within_1_dn(first: tuple[float, ...], second: tuple[float, ...]) -> bool:
-    return len(first) == len(second) and all(abs(a - b) < 1 for a, b in zip(first, second, strict=True))
 
 
 def odd_sensors(sensors: Mapping[FrameRecord, Sensor]) -> list[Problem]:
@@ -339,9 +328,8 @@ def unreadable_problem(record: FrameRecord, error: EldataError) -> Problem:
 
 # --- frames by their levels -------------------------------------------------------------------------------------------
 
-# Of the signal. Pairs are scaled to each other, and K is right at any ratio; but light that changes so much between two
-# equal exposures is worth a word, and beyond the second limit it is doubtful that nothing else has changed.
-_PAIR_DIFFERENCE = 0.05
+# Of the brighter. Pairs are scaled to each other, and K is right at any ratio; beyond this it is doubtful that nothing
+# but the light has changed.
 _UNLIKE_PAIR = 0.25
 _OF_NORMAL = 1.287  # standard deviation over the mean distance of the nearer 99 %
 
@@ -380,49 +368,19 @@ def odd_bias_frames(figures: Mapping[FrameRecord, tuple[float, float]]) -> list[
     return problems
 
 
-@dataclass(frozen=True, slots=True)
-class PairLevels:
-    """The mean levels over black of a pair of flats, DN."""
-
-    pair: FlatPair
-    first_dn: float
-    second_dn: float
-
-    @classmethod
-    def of(cls, pair: FlatPair, first: RawFrame, second: RawFrame) -> PairLevels:
-        """Measure a pair on some 100,000 pixels of each frame."""
-        black = float(np.mean(first.sensor.black_level_dn))
-        return cls(pair, *(measure_frame(frame.mosaic)[0] - black for frame in (first, second)))
-
-    @property
-    def difference(self) -> float:
-        """Of the two, as a share of the brighter; a DN is none."""
-        apart = max(0.0, abs(self.first_dn - self.second_dn) - 1.0)
-        return apart / max(self.first_dn, self.second_dn, 1.0)
-
-    def __str__(self) -> str:
-        return f"{self.pair.first.path} and {self.pair.second.path} ({self.first_dn:.0f} and {self.second_dn:.0f} DN)"
+def measure_pair(first: RawFrame, second: RawFrame) -> tuple[float, float]:
+    """Return the mean levels over black of two flats, DN."""
+    black = float(np.mean(first.sensor.black_level_dn))
+    return measure_frame(first.mosaic)[0] - black, measure_frame(second.mosaic)[0] - black
 
 
-def unequal_pair(levels: PairLevels) -> str | None:
+def unequal_pair(names: str, levels_dn: tuple[float, float]) -> str | None:
     """Return a remark if the two flats of a pair are too unlike to be one scene in one light, else ``None``."""
-    if levels.difference <= _UNLIKE_PAIR:
+    apart = abs(levels_dn[0] - levels_dn[1]) - 1.0  # a DN is no difference
+    if apart <= _UNLIKE_PAIR * max(*levels_dn, 1.0):
         return None
     return (
-        f"{levels.pair.first.path} and {levels.pair.second.path} were left out: their levels over black are "
-        f"{levels.first_dn:.0f} and {levels.second_dn:.0f} DN; equal exposures of a constant light differ by less than "
-        f"{_PAIR_DIFFERENCE:.0%}, and beyond {_UNLIKE_PAIR:.0%} they are not taken for two frames of one scene"
+        f"{names} were left out: their levels over black are {levels_dn[0]:.0f} and {levels_dn[1]:.0f} DN; equal "
+        f"exposures of a constant light differ by some per cent, and beyond {_UNLIKE_PAIR:.0%} they are not taken for "
+        "two frames of one scene"
     )
-
-
-def uneven_light(used: Sequence[PairLevels]) -> Iterator[Finding]:
-    """Yield a remark if pairs differ by more than equal exposures of a constant light do."""
-    uneven = [levels for levels in used if levels.difference > _PAIR_DIFFERENCE]
-    if uneven:
-        worst = max(uneven, key=lambda levels: levels.difference)
-        yield UNEVEN.find(
-            worst.difference,
-            _PAIR_DIFFERENCE,
-            f"{len(uneven)} of {len(used)} pairs of flats differ in light by up to {worst.difference:.0%}: {worst}; "
-            "they were scaled to each other, so K holds, but a constant light and a mechanical shutter are better",
-        )

@@ -151,7 +151,7 @@ class IsoGain:
         return list_symbols(self.withheld if effect == "withheld" else self.widened)
 
     def why(self, *quantities: Quantity, effect: Effect = "withheld") -> str:
-        """Return in words why figures are not given, or have a larger error; empty if it is not so."""
+        """Return the reasons that figures are not given, or have a larger error; empty if there are none."""
         findings = (one for one in self.findings if one.effect == effect and {*quantities} & {*one.figures})
         return "; ".join(dict.fromkeys(one.text for one in findings))
 

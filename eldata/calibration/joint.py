@@ -331,9 +331,9 @@ def _fit_scale(
     part: Sequence[IsoCalibration], name: str, label: str, remarks: list[str]
 ) -> tuple[LogLogEstimate | None, LogLogFit | None]:
     """Return the fit of a scale over K, and the line that the profile has; add to the remarks."""
-    given = [(gain, scale) for one in part if (gain := one.gain) is not None and (scale := one.given(name)) is not None]
-    usable = [(gain, scale) for gain, scale in given if scale.value > 0 and math.isfinite(scale.value)]
-    lost = len(given) - len(usable)
+    known = [(gain, scale) for one in part if (gain := one.gain) is not None and (scale := one.given(name)) is not None]
+    usable = [(gain, scale) for gain, scale in known if scale.value > 0 and math.isfinite(scale.value)]
+    lost = len(known) - len(usable)
     if lost:
         what = f"{counted(lost, 'ISO')}, which its fit leaves out" if usable else "every ISO; the profile has none"
         remarks.append(f"{label} was 0 at {what}")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.sums import channels_of, checked_black_level, levels_and_lines, sites
+from eldata.calibration.sums import channels_of, levels_and_lines, sites
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from eldata.calibration.sums import Counts, Mosaic, Plane, Values
 
 _BY_CHANCE = 1e-3  # of the frames' scatter
+_FREQUENCIES = 80
+_FREQUENCIES_TOGETHER = 4  # at least: a single one scatters by all of itself
 _SHAPIRO_VALUES = 5000  # up to which the Shapiro-Wilk test's p is accurate; more are thinned evenly
 
 
@@ -87,8 +89,15 @@ class LineNoise:
         return float(slope), float(level)
 
     def smoothed_power_dn2(self, period: int) -> tuple[Values, Values]:
-        """Return the periodogram in neighbouring frequencies together, for a CFA of this period."""
-        return smoothed_power(self.frequency, self.power_dn2, period)
+        """Return the means of neighbouring frequencies and of their power, for a CFA of this period.
+
+        Without 0 and the multiples of one over the period, which taking off the channels' means has emptied.
+        """
+        places = self.frequency * period
+        kept = np.flatnonzero(np.abs(places - np.rint(places)) > period * self.frequency[1] / 2)
+        groups = np.array_split(kept, max(1, min(_FREQUENCIES, kept.size // _FREQUENCIES_TOGETHER)))
+        frequency, power = (np.array([each[g].mean() for g in groups]) for each in (self.frequency, self.power_dn2))
+        return frequency, power
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,19 +238,20 @@ def colour_bias(sums: BiasSums, noise: RowNoise, black_level_dn: Sequence[float]
     frames the variance ``(sigma_pixel^2 / N + sum over lines of sigma_line^2 (m / N)^2) / n``. What the frames' means
     scatter by beyond that, over all channels together, enlarges it.
 
-    Raises
-    ------
-    ArgumentError
-        If there is not one black level per channel.
-    DatasetError
-        If the frames added are not those of the fixed pattern.
+    Parameters
+    ----------
+    sums
+        The bias frames.
+    noise
+        Their row noise.
+    black_level_dn
+        As recorded, one for each CFA channel.
     """
     from scipy.special import chdtri, ndtri, stdtrit
 
-    sums.check_frames()
     table = np.array(sums.means_dn)
-    frames, channels = table.shape
-    bias = table - checked_black_level(black_level_dn, channels)
+    frames = len(table)
+    bias = table - np.asarray(black_level_dn)
     lines = ((sums.row_pixels, noise.rows), (sums.column_pixels, noise.columns))
     pixels = sums.row_pixels.sum(axis=0)
     of_frame = noise.pixel_variance_dn2 / pixels + sum(
@@ -262,21 +272,6 @@ def colour_bias(sums: BiasSums, noise: RowNoise, black_level_dn: Sequence[float]
 
 
 # --- spectra ----------------------------------------------------------------------------------------------------------
-
-_FREQUENCIES = 80
-_FREQUENCIES_TOGETHER = 4  # at least: a single one scatters by all of itself
-
-
-def smoothed_power(frequency: Values, power: Values, period: int) -> tuple[Values, Values]:
-    """Return means of neighbouring frequencies, without those that taking off the channels' means has emptied.
-
-    These are 0 and the multiples of one over the CFA's period.
-    """
-    places = frequency * period
-    kept = np.flatnonzero(np.abs(places - np.rint(places)) > period * frequency[1] / 2)
-    groups = np.array_split(kept, max(1, min(_FREQUENCIES, kept.size // _FREQUENCIES_TOGETHER)))
-    return np.array([frequency[g].mean() for g in groups]), np.array([power[g].mean() for g in groups])
-
 
 _TILE = 256
 _MOST_TILES = 64

@@ -28,15 +28,9 @@ from eldata.calibration.checks import (
     uneven_steps,
 )
 from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.findings import (
-    CLIPPED,
-    NO_LINE,
-    SHAPE,
-    TRANSFER,
-    accept_findings,
-)
+from eldata.calibration.findings import CLIPPED, NO_LINE, SHAPE, TRANSFER, accept_findings
 from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.frames import FrameReader, FramesError, PairLevels, measure_frame, unequal_pair, uneven_light
+from eldata.calibration.frames import FrameReader, FramesError, measure_frame, measure_pair, unequal_pair
 from eldata.calibration.held_out import compared_piece, reproduction
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
 from eldata.calibration.lines import colour_bias, power_spectrum, row_noise
@@ -236,10 +230,6 @@ def _first_pass(
     reader.refuse()
     if stack is None:
         raise DatasetError("no bias frame could be read")
-    if len(used) < MINIMUM_FRAMES and kept is not None:  # without its copies, the set has none to spare
-        for _, frame in reader.read(held_out):
-            stack.add(frame.mosaic)
-        used, kept = [*used, *held_out], None
     if len(used) < MINIMUM_FRAMES:
         raise _too_few(len(used), reader.remarks)
     return fixed_pattern(stack), used, kept
@@ -264,7 +254,7 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
     if not chosen.pairs:
         return record(() if stated is not None else (no_pairs(chosen),))
     flats: FlatPairs | None = None
-    used: list[PairLevels] = []
+    used: list[str] = []
     remarks: list[str] = []
     for pair, first, second in _read_pairs(reader, chosen.pairs):
         if flats is None:
@@ -273,12 +263,12 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
             black, defects = (sensor.black_level_dn, None) if fixed is None else (fixed.level_dn, fixed.defects)
             floor_dn = 0 if fixed is None else fixed.floor_dn or 0
             flats = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects, floor_dn=floor_dn)
-        levels = PairLevels.of(pair, first, second)
-        unequal = unequal_pair(levels)
+        names, levels_dn = f"{pair.first.path} and {pair.second.path}", measure_pair(first, second)
+        unequal = unequal_pair(names, levels_dn)
         if unequal is not None:
             remarks.append(unequal)
         else:
-            used.append(levels)
+            used.append(f"{names} ({levels_dn[0]:.0f} and {levels_dn[1]:.0f} DN)")
             flats.add(first.mosaic, second.mosaic)
         del first, second  # before the next ones are decoded
     reader.refuse()
@@ -289,19 +279,19 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
     try:
         transfer = photon_transfer(flats)
     except DatasetError as error:
-        no_line = _no_line(f"{error}; pairs used: {', '.join(map(str, used))}")
+        no_line = _no_line(f"{error}; pairs used: {', '.join(used)}")
         return record(remarks, *saturation(flats), no_line)
     of_line, spatial = tuple(flat_findings(transfer)), None
     if all(one.check != NO_LINE.name for one in of_line):  # of a scene, a frame's variance is the scene's own
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(flats)
     of_values = (*saturation(flats), *uneven_steps(flats, transfer))
-    findings = accept_findings((*uneven_light(used), *of_values, *of_line), chosen.accept)
+    findings = accept_findings((*of_values, *of_line), chosen.accept)
     return record(remarks, *findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
 
 
 def _no_line(why: str) -> Finding:
-    """Return that there is no photon transfer line; the read noise is measured all the same."""
+    """Return the finding that there is no photon transfer line; the read noise is measured all the same."""
     return TRANSFER.find(math.nan, math.nan, why, "withheld", TRANSFER.figures)
 
 
@@ -309,14 +299,16 @@ def _read_pairs(reader: FrameReader, pairs: Sequence[FlatPair]) -> Iterator[tupl
     """Yield the pairs of which both frames can be used; the reader names the others."""
     pair_of = {pair.second: pair for pair in pairs}
     waiting: tuple[FrameRecord, RawFrame] | None = None
-    for record, frame in reader.read_new([record for pair in pairs for record in (pair.first, pair.second)]):
+    for record, frame in reader.read([record for pair in pairs for record in (pair.first, pair.second)]):
         pair = pair_of.get(record)
-        if pair is None:
+        if reader.is_copy(record, frame.mosaic):  # the difference of a frame and its copy holds no noise
+            pass
+        elif pair is None:
             waiting = record, frame
         elif waiting is not None and waiting[0] == pair.first:
             yield pair, waiting[1], frame
             waiting = None
-        del frame
+        del frame  # before the next one is decoded
 
 
 # --- remarks ----------------------------------------------------------------------------------------------------------

@@ -262,8 +262,8 @@ def dark_shading(
     for one in calibration.isos:
         between = any(above < one.iso < start for (_, above), start in zip(limits, starts, strict=False))
         # An error that is accepted is none that a shading could have: it would hold the light itself.
-        of_level = [seen for seen in one.findings if "colour bias" in seen.figures]
-        lit = [seen.text for seen in of_level if seen.effect == "withheld" or seen.is_accepted]
+        of_level = [finding for finding in one.findings if "colour bias" in finding.figures]
+        lit = [finding.text for finding in of_level if finding.effect == "withheld" or finding.is_accepted]
         if lit:
             notes.append(f"ISO {one.iso:g} was left out: {'; '.join(lit)}")
         elif modes is None and between:

@@ -16,8 +16,6 @@ from eldata.errors import ArgumentError
 from eldata.raw.levels import packed_channels
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from eldata.raw.levels import Cfa
 
 Mosaic: TypeAlias = NDArray[np.uint16]
@@ -67,14 +65,6 @@ def checked_mosaic(mosaic: NDArray[Any], shape: tuple[int, int] | None, period: 
             "one orientation and one ISO together"
         )
     return mosaic
-
-
-def checked_black_level(black_level_dn: Sequence[float], channels: int) -> Values:
-    """Return the black levels, one per CFA channel."""
-    black = np.asarray(black_level_dn, dtype=np.float64)
-    if black.shape != (channels,) or not np.all(np.isfinite(black)):
-        raise ArgumentError(f"expected {channels} finite black levels, one per CFA channel; found {black_level_dn}")
-    return black
 
 
 class FrameSums:

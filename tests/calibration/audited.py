@@ -9,7 +9,6 @@ import numpy as np
 
 from eldata.calibration.bias_sums import BiasPairs
 from eldata.calibration.checks import bias_findings, code_step, mean_step
-from eldata.calibration.findings import accept_findings
 from tests.calibration import draws
 from tests.calibration.chain import calibrated, figures_of, given
 from tests.calibration.simulation import XTRANS, Body, Camera
@@ -29,10 +28,9 @@ FRAMES = 9
 
 @dataclass(frozen=True)
 class Audited:
-    """One camera's bias frames through the estimators and the audit: each figure before it, with it, and in truth."""
+    """One camera's bias frames through the estimators and the audit: each figure with it, and in truth."""
 
     findings: tuple[Finding, ...]
-    before: dict[str, MeasuredFigure]
     after: dict[str, MeasuredFigure | None]
     truth: dict[str, float]
 
@@ -40,13 +38,8 @@ class Audited:
     def effects(self) -> dict[str, str]:
         return {one.check: one.effect for one in self.findings}
 
-    def covered(self, name: str) -> bool | None:
-        """Whether a figure lies within 1.96 errors of the truth; ``None`` if it is withheld."""
-        figure = self.after[name]
-        return None if figure is None else abs(figure.value - self.truth[name]) <= 1.96 * figure.error
 
-
-def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]], *, accept: Sequence[str] = ()) -> Audited:
+def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Audited:
     found = calibrated(camera, frames)
     audit = BiasPairs(found.fixed)
     for frame in frames:
@@ -54,20 +47,16 @@ def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]], *, accept: Seq
     statistics = audit.statistics()
     step = code_step(statistics.codes)
     step_dn = float(step) if step > 1 else mean_step(statistics.codes)
-    findings = accept_findings(bias_findings(statistics, found.bias, found.rows, found.read, step_dn), accept)
-    before, after, truth = {}, {}, {}
+    findings = bias_findings(statistics, found.bias, found.rows, found.read, step_dn)
+    after, truth = {}, {}
     for name, (figure, value, error, true, scale) in figures_of(found, camera).items():
-        before[name] = given((), figure, value, error, scale)
         after[name] = given(findings, figure, value, error, scale)
         truth[name] = true
-    return Audited(findings, {name: one for name, one in before.items() if one is not None}, after, truth)
+    return Audited(findings, after, truth)
 
 
-def planted(
-    fault: Planted, seed: int, camera: Camera = CAMERA, frames: int = FRAMES, accept: Sequence[str] = ()
-) -> Audited:
-    body = Body(camera, np.random.default_rng(seed))
-    return audited(camera, fault.bias_frames(body, frames), accept=accept)
+def planted(fault: Planted, seed: int, camera: Camera = CAMERA) -> Audited:
+    return audited(camera, fault.bias_frames(Body(camera, np.random.default_rng(seed)), FRAMES))
 
 
 def drawn_camera(generator: np.random.Generator) -> Camera:

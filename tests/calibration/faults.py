@@ -30,17 +30,13 @@ def digitised(frames: Sequence[NDArray[np.float64]]) -> list[NDArray[np.uint16]]
 
 @dataclass(frozen=True)
 class Planted:
-    """A fault of one size; ``of_values`` acts on rounded values, as the camera's own software does."""
+    """A fault of one size."""
 
     name: str
     fault: Fault
-    of_values: bool = False
 
     def bias_frames(self, body: Body, count: int) -> list[NDArray[np.uint16]]:
-        frames = analogue(body, count)
-        if self.of_values:
-            frames = [np.rint(frame) for frame in frames]
-        return digitised(self.fault(frames, body.camera, body.generator))
+        return digitised(self.fault(analogue(body, count), body.camera, body.generator))
 
 
 def _lit(light_dn: Callable[[Camera, np.random.Generator], NDArray[np.float64]]) -> Fault:
@@ -65,16 +61,6 @@ def corner_leak(peak_dn: float) -> Planted:
     return Planted(f"corner leak, {peak_dn:g} DN", _lit(light))
 
 
-def jumping(share: float, sigmas: float, duty: float) -> Planted:
-    """Pixels that are so many standard deviations of the read noise higher in a share of the frames."""
-
-    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
-        step = sigmas * camera.noise.sigma_gauss_dn * (generator.random(camera.shape) < share)
-        return [frame + step * (generator.random(camera.shape) < duty) for frame in frames]
-
-    return Planted(f"pixels that jump up, {share:.1%} by {sigmas:g} sigma, {duty:.0%} of the time", fault)
-
-
 def _by_site(frames: Frames, camera: Camera, filtered: Callable[..., NDArray[np.float64]]) -> Frames:
     """Filter each site of the CFA's period by itself (X-Trans: pixels six apart)."""
     results, period = [frame.copy() for frame in frames], len(camera.cfa)
@@ -94,24 +80,6 @@ def blurred(share: float) -> Planted:
     return Planted(f"blur of {share:g}", fault)
 
 
-def star_eater(sigmas: float) -> Planted:
-    """Values that far above all eight neighbours of their colour become the neighbours' median."""
-    around = np.ones((3, 3), dtype=np.bool_)
-    around[1, 1] = False
-
-    def fault(frames: Frames, camera: Camera, _: np.random.Generator) -> Frames:
-        margin = sigmas * camera.noise.sigma_gauss_dn
-
-        def eaten(site: NDArray[np.float64]) -> NDArray[np.float64]:
-            median = ndimage.median_filter(site, footprint=around)
-            far = site > ndimage.maximum_filter(site, footprint=around) + margin
-            return np.where(far, median, site)
-
-        return _by_site(frames, camera, eaten)
-
-    return Planted(f"star-eater from {sigmas:g} sigma", fault, of_values=True)
-
-
 def coarse(step: int) -> Planted:
     """Fewer bits than the file has: values in steps."""
 
@@ -119,3 +87,12 @@ def coarse(step: int) -> Planted:
         return [step * np.rint(frame / step) for frame in frames]
 
     return Planted(f"values in steps of {step} DN", fault)
+
+
+def mixed(share: float) -> Planted:
+    """Each pixel gets this share of its left neighbour, of whatever colour."""
+
+    def fault(frames: Frames, _: Camera, __: np.random.Generator) -> Frames:
+        return [(1 - share) * frame + share * np.roll(frame, 1, axis=1) for frame in frames]
+
+    return Planted(f"neighbours mixed by {share:g}", fault)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +14,7 @@ from eldata.calibration.flats import FlatPairs, photon_transfer
 from eldata.demo.body import Body
 from eldata.errors import DatasetError
 from tests.calibration.chain import given
-from tests.calibration.simulation import BAYER, XTRANS, Camera
+from tests.calibration.simulation import BAYER, Camera
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -77,34 +76,6 @@ def unequal(step: float) -> Callable[..., list[Pair]]:
     return lambda setting, generator: clean(setting, generator, step)
 
 
-def relit(
-    light: Callable[[Setting, np.random.Generator], NDArray[np.float64]], most: float
-) -> Callable[..., list[Pair]]:
-    """Each frame has light of its own, that of the lens times this; ``most``: what it may be."""
-
-    def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
-        body, noise = body_of(setting, generator)
-        steady = body.light
-
-        def frame(share: float) -> NDArray[np.uint16]:
-            body.light = (steady * light(setting, generator)).astype(np.float32)
-            return body.flat_frame(noise, share * (WHITE - BLACK) / most, generator)
-
-        return [(frame(share), frame(share)) for share in setting.levels]
-
-    return make
-
-
-def flickering(depth: float) -> Callable[..., list[Pair]]:
-    """Both frames have bands of light, at different places."""
-
-    def bands(setting: Setting, generator: np.random.Generator) -> NDArray[np.float64]:
-        phase = generator.uniform(0, 2 * np.pi)
-        return np.asarray(1 + depth * np.sin(np.arange(setting.shape[0])[:, None] / 40 + phase))
-
-    return relit(bands, 1 + depth)
-
-
 def chart_light(shape: tuple[int, int], shift: tuple[float, float], blur: float = 1.5) -> NDArray[np.float32]:
     """The light of a chart that is turned by a degree, by CFA site: reflectances, blurred by a lens."""
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
@@ -130,11 +101,18 @@ def chart_light(shape: tuple[int, int], shift: tuple[float, float], blur: float 
 def chart(pixels: float) -> Callable[..., list[Pair]]:
     """Pairs of a chart that moves between any two frames by so many pixels, one standard deviation."""
 
-    def moved(setting: Setting, generator: np.random.Generator) -> NDArray[np.float64]:
-        shift = pixels * generator.standard_normal(2)
-        return chart_light(setting.shape, (float(shift[0]), float(shift[1]))).astype(np.float64)
+    def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
+        body, noise = body_of(setting, generator)
+        steady = body.light
 
-    return relit(moved, 1.0)
+        def frame(share: float) -> NDArray[np.uint16]:
+            down, across = pixels * generator.standard_normal(2)
+            body.light = steady * chart_light(setting.shape, (float(down), float(across)))
+            return body.flat_frame(noise, share * (WHITE - BLACK), generator)
+
+        return [(frame(share), frame(share)) for share in setting.levels]
+
+    return make
 
 
 def bent(share: float) -> Callable[..., list[Pair]]:
@@ -189,31 +167,3 @@ def outcome(setting: Setting, pairs: Sequence[Pair]) -> Outcome:
     gain = given(findings, "gain", transfer.gain_dn_per_e, transfer.gain_error, transfer.gain_dn_per_e)
     off = transfer.gain_dn_per_e / setting.gain - 1
     return Outcome(off, math.nan if gain is None else gain.error / setting.gain, findings)
-
-
-def drawn(generator: np.random.Generator) -> Setting:
-    """A sound camera and honest flats, over the ranges of the shipped profiles."""
-    gain = float(np.exp(generator.uniform(math.log(0.09), math.log(29))))
-    setting = Setting(
-        gain=gain,
-        levels=tuple(generator.uniform(0.07, 0.95, generator.integers(4, 9))),
-        prnu=float(generator.uniform(0.002, 0.02)),
-        vignetting=float(generator.uniform(0, 0.5)),
-        sigma_tl=float(2 * gain**0.5 * generator.uniform(0.7, 1.4)),
-        tukey_lambda=float(generator.uniform(-0.24, 0.2)),
-        sigma_row=float(0.4 * gain**0.5 * generator.uniform(0.5, 1.5)),
-        shape=(384, 576),
-    )
-    return setting if generator.random() < 0.8 else replace(setting, cfa=XTRANS, bias=(0.0,) * 3)
-
-
-def alarms(cameras: int) -> Counter[str]:
-    """What the checks say of sound cameras, each with pairs that differ by some percent."""
-    said: Counter[str] = Counter()
-    for seed in range(cameras):
-        generator = np.random.default_rng((7, seed))
-        setting = drawn(generator)
-        found = outcome(setting, unequal(float(generator.normal(0, 0.015)))(setting, generator))
-        said.update({one.check for one in found.findings})
-        said["refused"] += bool(found.refused)
-    return said

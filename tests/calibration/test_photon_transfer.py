@@ -7,7 +7,6 @@ import pytest
 
 from eldata.calibration import FlatPairs, photon_transfer, spatial_photon_transfer
 from eldata.errors import ArgumentError, DatasetError
-from tests.calibration.chain import transferred
 from tests.calibration.simulation import BAYER, Body, Camera
 
 BLACK = [512.0] * 4
@@ -23,22 +22,6 @@ def test_prnu_misleads_the_spatial_method_and_not_the_pairs() -> None:
     found = photon_transfer(pairs)
     assert abs(found.gain_dn_per_e - 0.2) < 4 * found.gain_error < 0.01 * 0.2
     assert spatial_photon_transfer(pairs).gain_dn_per_e > 2 * 0.2
-
-
-def test_the_spatial_method_is_right_on_ideal_flats() -> None:
-    camera = Camera(shape=(512, 768), prnu=0.0, dsnu=0.0, column_pattern=0.0, hot_share=0.0)
-    body = Body(camera, np.random.default_rng(1))
-    flats = FlatPairs(BAYER, BLACK, 16383)
-    for level in (500, 2000, 5000, 9000):
-        flats.add(body.flat_frame(level, shaded=False), body.flat_frame(level, shaded=False))
-    assert spatial_photon_transfer(flats).gain_dn_per_e == pytest.approx(1.0, rel=0.01)
-
-
-def test_even_flats_of_two_exposures() -> None:
-    body = Body(Camera(shape=(512, 768)), np.random.default_rng(2))
-    found = transferred(body, [1000, 8000], body.hot, shaded=False)
-    assert abs(found.gain_dn_per_e - 1) < 4 * found.gain_error < 0.05
-    assert all(abs(line.chi2_per_dof - 1) < 1 for line in found.channels)
 
 
 def test_a_channel_that_is_hardly_known_hardly_counts() -> None:

@@ -77,19 +77,6 @@ def test_values_that_end_below_do_not_enter() -> None:
     assert abs(found.sigma_gauss_dn - deviation) < 4 * found.sigma_gauss_error_dn < 0.1
 
 
-def test_plain_routes_are_biased() -> None:
-    """Why the corrections: each pixel's mean over 6 frames lightens the tails, and rounding widens quiet noise."""
-    camera = Camera(shape=(768, 1024), tukey_lambda=-0.2, sigma_tl=0.7, sigma_row=0.2)
-    read = calibrated(camera, Body(camera, np.random.default_rng(3)).bias_frames(6)).read
-    assert abs(read.tukey_lambda + 0.2) < 4 * read.tukey_lambda_error < 0.01
-    assert read.ppcc_lambda_plain > -0.2 + 0.025
-    # A fixed pattern that is left in place looks like read noise.
-    loud = camera.with_(dsnu=1.0, sigma_tl=0.7, tukey_lambda=0.1)
-    frame = Body(loud, np.random.default_rng(3)).bias_frame().astype(np.int64)
-    left_in = read_noise(counted((frame - np.rint(np.median(frame)).astype(np.int64)).clip(-40, 40).ravel()))
-    assert left_in.sigma_tl_dn > 1.3 * 0.7
-
-
 def test_hot_pixels_do_not_enter_but_outliers_of_one_frame_do() -> None:
     camera = Camera(shape=(512, 768), hot_share=1e-3)
     body = Body(camera, np.random.default_rng(5))

@@ -17,4 +17,4 @@ def test_a_calibration_passes_few_modules(tmp_path: Path) -> None:
     frames = made_tree(tmp_path / "tree", isos=(400,)).frames()
     passed, _ = modules_called(lambda: calibrate(frames))
     assert len([name for name in passed if name.startswith("eldata.calibration.")]) <= 16, sorted(passed)
-    assert len(passed) <= 46, sorted(passed)
+    assert len(passed) <= 41, sorted(passed)

@@ -26,13 +26,12 @@ _OPTIONS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--remote-debugging-pipe"),
 )
+_PROBLEMS = ("Network.requestWillBeSent", "Runtime.exceptionThrown", "Log.entryAdded")
 _KEYS = {
     "Tab": ("Tab", 9, ""),
     "Enter": ("Enter", 13, "\r"),
     "Space": (" ", 32, " "),
-    "ArrowDown": ("ArrowDown", 40, ""),
     "ArrowUp": ("ArrowUp", 38, ""),
-    "ArrowRight": ("ArrowRight", 39, ""),
 }
 
 
@@ -166,9 +165,9 @@ class Page:
         for kind in ("mousePressed", "mouseReleased"):
             self.send("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
 
-    def press(self, name: str, times: int = 1, *, modifiers: int = 0) -> None:
+    def press(self, name: str, times: int = 1) -> None:
         key, code, text = _KEYS[name]
-        common = {"key": key, "code": name, "windowsVirtualKeyCode": code, "modifiers": modifiers}
+        common = {"key": key, "code": name, "windowsVirtualKeyCode": code}
         for _ in range(times):
             self.send("Input.dispatchKeyEvent", type="keyDown", text=text, **common)
             self.send("Input.dispatchKeyEvent", type="keyUp", **common)
@@ -187,13 +186,11 @@ class Page:
     def problems(self) -> list[str]:
         """Return what the page asked of the network, and what it complained about, so far."""
         events = [event for event in self._browser.events if event.get("sessionId") == self.tab]
-        found = [
-            event["params"]["request"]["url"] for event in events if event.get("method") == "Network.requestWillBeSent"
-        ]
-        found = [url[:200] for url in found if not url.startswith(("file:", "data:", "blob:", "about:"))]
-        found += [json.dumps(event["params"]) for event in events if event.get("method") == "Runtime.exceptionThrown"]
-        found += [event["params"]["entry"]["text"] for event in events if event.get("method") == "Log.entryAdded"]
-        return found
+        by_method = {name: [e["params"] for e in events if e.get("method") == name] for name in _PROBLEMS}
+        asked, thrown, logged = by_method.values()
+        urls = [params["request"]["url"] for params in asked]
+        foreign = [url[:200] for url in urls if not url.startswith(("file:", "data:", "blob:", "about:"))]
+        return foreign + [json.dumps(params) for params in (*thrown, *logged)]
 
     def close(self) -> None:
         self._browser.send("Target.disposeBrowserContext", browserContextId=self.context)

@@ -127,13 +127,13 @@ def _compare_references(first: ReducedFrame, tiles: Tiles | None, frame: Reduced
 def _measure_light(first: ReducedFrame, frame: ReducedFrame, against: str, group: CheckedGroup) -> float:
     """Measure the change of brightness; return its mean over the channels that tell it."""
     path, ratios = frame.record.path, brightness_ratios(first.cells, frame.cells)
-    known = [(colour, one) for colour, one in zip(first.cells.colours, ratios, strict=True) if one is not None]
+    known = [(colour, ratio) for colour, ratio in zip(first.cells.colours, ratios, strict=True) if ratio is not None]
     if not known:
         group.remark(path, f"too little is well exposed to compare it with {against}")
         return 1.0
     colour, worst_one = max(known, key=lambda pair: abs(pair[1].value - 1))
     group.measure("drift", path, worst_one.in_percent(1), colour=colour, against=against)
-    return sum(one.value for _, one in known) / len(known)
+    return sum(ratio.value for _, ratio in known) / len(known)
 
 
 # --- pairs ------------------------------------------------------------------------------------------------------------

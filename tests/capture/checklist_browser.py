@@ -144,7 +144,7 @@ class Page:
         self._browser.event("Page.loadEventFired", self.tab)
 
     def run(self, code: str) -> Any:
-        """Return what JavaScript gives."""
+        """The value of a JavaScript expression."""
         answer = self.send("Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
@@ -184,7 +184,7 @@ class Page:
         return base64.b64decode(self.send("Page.printToPDF", preferCSSPageSize=True)["data"])
 
     def problems(self) -> list[str]:
-        """Return what the page asked of the network, and what it complained about, so far."""
+        """Network requests and complaints of the page so far."""
         events = [event for event in self._browser.events if event.get("sessionId") == self.tab]
         by_method = {name: [e["params"] for e in events if e.get("method") == name] for name in _PROBLEMS}
         asked, thrown, logged = by_method.values()

@@ -68,9 +68,7 @@ class Observed:
         """Leave out the frames that are byte for byte one of these files."""
         originals: dict[object, dict[str | None, str]] = {}
         for row in of:
-            originals.setdefault((original.iso, original.exposure_s, original.size_bytes), {})[original.sha256] = (
-                original.path
-            )
+            originals.setdefault((row.iso, row.exposure_s, row.size_bytes), {})[row.sha256] = row.path
         # A file is hashed only if one with its settings and its size is known.
         sizes = {frame.path: (frame.iso, frame.exposure_s, frame.path.stat().st_size) for frame in self.frames}
         alike = [path for path, settings in sizes.items() if settings in originals]

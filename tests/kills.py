@@ -123,11 +123,6 @@ CASES = {
         "eldata", f"synthesize ../inputs/clean -o set --camera SonyA7S2 --per-image 2 --jobs {JOBS}", clean_raws
     ),
     "evaluate": Case(
-        "eldata",
-        f"evaluate ../inputs/preds {ELD} --csv s.csv --json s.json --html s.html --jobs {JOBS}",
-        predictions,
-    ),
-    "evaluate-several": Case(
         "eldata", f"evaluate ../inputs/preds ../inputs/others {ELD} -o results --jobs {JOBS}", predictions
     ),
     "baseline": Case("eldata", f"baseline input {ELD} -o preds --jobs {JOBS}", demo_tree),

@@ -109,7 +109,7 @@ def test_the_documented_tables_are_those_of_the_records(folder: str, capsys: pyt
         "twelve --isos 100 --seed 2",  # and even ones
         "plain --isos 6400 --repeat 3",  # a distribution that ends
         "telegraph --isos 200 400",  # row noise holds, whatever the shape of the read noise
-        "silent --isos 100",
+        "silent --isos 800",
         "smoothed --isos 100 800",
     ],
 )
@@ -117,19 +117,7 @@ def test_what_the_study_of_calibration_found(case: str, monkeypatch: pytest.Monk
     monkeypatch.syspath_prepend(EXAMPLES)
     study: Any = importlib.import_module("prove_calibration")
     assert study.main(case.split()) == 0
-
-
-@pytest.mark.study
-def test_the_study_of_calibration_tells_right_from_wrong(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One simulated camera at three ISOs, whose figures hold; and against another K, which then do not."""
-    monkeypatch.syspath_prepend(EXAMPLES)
-    study: Any = importlib.import_module("prove_calibration")
-    few = ["silent", "--isos", "800", "1600", "3200"]
-    assert study.main(few) == 0
-    assert capsys.readouterr().out.startswith("3 cases of a camera at an ISO\n")
-    truths = study.Specimen.truths
-    monkeypatch.setattr(study.Specimen, "truths", lambda self: truths(self) | {"K": (1.1 * self.case.gain,)})
-    assert study.main(few) == 1
-    assert capsys.readouterr().out.count("FAR OFF, K, ") == 3
+    if case.startswith("silent"):  # against another K it does not hold
+        truths = study.Specimen.truths
+        monkeypatch.setattr(study.Specimen, "truths", lambda self: truths(self) | {"K": (1.1 * self.case.gain,)})
+        assert study.main(case.split()) == 1

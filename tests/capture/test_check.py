@@ -60,9 +60,7 @@ def value(group: CheckedGroup, name: str, number: int) -> Measure:
 # --- mishaps ------------------------------------------------------------------------------------------------------
 
 
-def late(mishap: Mishap) -> dict[int, Mishap]:
-    """Between the second reference and the rest."""
-    return dict.fromkeys((14, 15, 16), mishap)
+LATE = (14, 15, 16)  # between the second reference and the rest
 
 
 def blurred(sigma: float) -> Mishap:
@@ -95,10 +93,10 @@ WRONG_EXIF = {5: lambda shot: replace(shot, exif=Exposure(Fraction(800), Fractio
 MISHAPS: dict[str, tuple[dict[int, Mishap], int, set[tuple[str, int]], str]] = {
     "lamp": (lamp(1), 1, {("drift", 16)}, "look"),
     "lamp, more": (lamp(2), 1, {("drift", 6), ("drift", 16)}, "shoot again"),
-    "tripod": (late(moved(0.3)), 1, {("shift", 16)}, "look"),
-    "tripod, more": (late(moved(5)), 2, {("shift", 16)}, "shoot again"),
-    "focus": (late(blurred(0.6)), 1, {("focus", 16)}, "look"),
-    "focus, more": (late(blurred(1.5)), 2, {("focus", 16)}, "shoot again"),
+    "tripod": (dict.fromkeys(LATE, moved(0.3)), 1, {("shift", 16)}, "look"),
+    "tripod, more": (dict.fromkeys(LATE, moved(5)), 2, {("shift", 16)}, "shoot again"),
+    "focus": (dict.fromkeys(LATE, blurred(0.6)), 1, {("focus", 16)}, "look"),
+    "focus, more": (dict.fromkeys(LATE, blurred(1.5)), 2, {("focus", 16)}, "shoot again"),
     # Noisy frames 14 and 15 are pairs of reference 16.
     "movement": ({16: something_moves}, 2, {("movement", number) for number in (14, 15, 16)}, "look"),
     "overexposed": (EVERY, 2, {("clipped", number) for number in (1, 6, 16)}, "shoot again"),

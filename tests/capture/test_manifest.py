@@ -61,7 +61,7 @@ def test_scenes_from_card_to_dataset(tmp_path: Path, capsys: pytest.CaptureFixtu
     shutil.rmtree(field.card)
     files = shoot(field.card, whole_plan(field.plan), shuffle=3)
     before = {path: (path.stat().st_mtime_ns, sha256_of(path)) for path in files}
-    assert field.copy("--jobs", "2") == 0
+    assert field.copy() == 0
     output = capsys.readouterr().out
     assert "scene-4  16 of 16" in output
     assert "64 of 64 shots have a file; 64 files were given" in output

@@ -94,13 +94,14 @@ def exports(package: str) -> dict[str, str]:
     stub = ROOT / Path(*package.split(".")) / "__init__.pyi"
     if package not in PACKAGES or not stub.exists():
         return {}
-    lines = ast.parse(stub.read_text(encoding="utf-8")).body
-    return {
-        alias.name: f"{package}.{line.module}"
-        for line in lines
-        if isinstance(line, ast.ImportFrom)
-        for alias in line.names
-    }
+    names = {}
+    for line in ast.parse(stub.read_text(encoding="utf-8")).body:
+        if not isinstance(line, ast.ImportFrom):
+            continue
+        for alias in line.names:
+            assert alias.asname == alias.name, f"{alias.name}: type checkers take 'import x as x' as an export"
+            names[alias.name] = f"{package}.{line.module}"
+    return names
 
 
 def defining(name: str) -> str:

@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.shared import made_once
-from tests.test_public_names import PACKAGES, promised
+from tests.test_architecture import exports
+from tests.test_public_names import PACKAGES
 from tests.waiting import PATIENCE_S
 from tests.without_posix import commands
 
@@ -68,7 +69,7 @@ def entries(inventory: Path) -> set[str]:
 
 @pytest.mark.study
 def test_the_reference_has_every_public_name(site: Path) -> None:
-    names = {f"{package}.{name}" for package in PACKAGES for name in promised(package)}
+    names = {f"{package}.{name}" for package in PACKAGES for name in exports(package)}
     for module in ("capture.check", "capture.checklist"):
         names |= {f"{module}.{name}" for name in vars(importlib.import_module(module))["__all__"]}
     assert len(names) > 180

@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
 import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
 
+from tests.test_architecture import exports
 from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = sorted(".".join(stub.parent.relative_to(ROOT).parts) for stub in (ROOT / "eldata").rglob("__init__.pyi"))
 
 
-def promised(package: str) -> dict[str, str]:
-    """Name of each thing that a package's stub exports: the module it comes from."""
-    tree = ast.parse((ROOT / Path(*package.split(".")) / "__init__.pyi").read_text(encoding="utf-8"))
-    names = {}
-    for node in tree.body:
-        if isinstance(node, ast.ImportFrom) and node.module is not None:
-            for alias in node.names:
-                assert alias.asname == alias.name, f"{alias.name}: type checkers take 'import x as x' as an export"
-                names[alias.name] = f"{package}.{node.module}"
-    return names
-
-
 def test_what_the_stubs_promise_is_there_and_documented() -> None:
     for package in PACKAGES:
-        module, names = import_module(package), promised(package)
+        module, names = import_module(package), exports(package)
         exported = {name for name in vars(module)["__all__"] if not inspect.ismodule(getattr(module, name))}
         assert exported == set(names) <= set(dir(module)), package
         assert not hasattr(module, "no_such_name"), "hasattr, and getattr with a default, rest on an AttributeError"
@@ -55,7 +43,7 @@ def test_every_public_module_is_there_after_import_eldata_and_hides_no_function(
     namesakes = [
         f"{package}.{name}"
         for package in PACKAGES
-        for name, module in promised(package).items()
+        for name, module in exports(package).items()
         if (ROOT / Path(*package.split(".")) / f"{name}.py").exists() or module == f"{package}.{name}"
     ]
     assert namesakes

@@ -31,6 +31,8 @@ _KEYS = {
     "Tab": ("Tab", 9, ""),
     "Enter": ("Enter", 13, "\r"),
     "Space": (" ", 32, " "),
+    "ArrowDown": ("ArrowDown", 40, ""),
+    "ArrowRight": ("ArrowRight", 39, ""),
     "ArrowUp": ("ArrowUp", 38, ""),
 }
 
@@ -165,9 +167,9 @@ class Page:
         for kind in ("mousePressed", "mouseReleased"):
             self.send("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
 
-    def press(self, name: str, times: int = 1) -> None:
+    def press(self, name: str, times: int = 1, *, modifiers: int = 0) -> None:
         key, code, text = _KEYS[name]
-        common = {"key": key, "code": name, "windowsVirtualKeyCode": code}
+        common = {"key": key, "code": name, "windowsVirtualKeyCode": code, "modifiers": modifiers}
         for _ in range(times):
             self.send("Input.dispatchKeyEvent", type="keyDown", text=text, **common)
             self.send("Input.dispatchKeyEvent", type="keyUp", **common)

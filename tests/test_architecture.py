@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.trees import build_tree
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+
+    from tests.trees import Tree
 
 ROOT = Path(__file__).parents[1]
 PATHS = sorted([*(ROOT / "eldata").rglob("*.py"), *(ROOT / "capture").rglob("*.py")])
@@ -445,9 +446,8 @@ def test_imports_and_help_load_neither_torch_nor_rawpy() -> None:
     assert last == ["rawpy"]
 
 
-def test_verify_loads_what_its_level_needs(tmp_path: Path) -> None:
-    tree = build_tree(tmp_path)
-    common = ["verify", str(tree.csv), "--root", str(tree.root), "--jobs", "1", "--level"]
+def test_verify_loads_what_its_level_needs(pristine: Tree) -> None:
+    common = ["verify", str(pristine.csv), "--root", str(pristine.root), "--jobs", "1", "--level"]
     codes = [f"from eldata.cli.main import main; main({[*common, level]!r})" for level in ("quick", "metadata", "full")]
     assert loaded_after(*codes) == [[], ["rawpy"], ["rawpy"]]
 

@@ -226,7 +226,7 @@ def _list_times(plan: Plan) -> list[dict[str, Any]]:
         except ImpossibleShotError as error:
             row["problem"] = str(error)
         else:
-            row |= {"dials": [index[one.shot.setting] for one in make_rows(scene.shots)], "remarks": scene.remarks}
+            row |= {"dials": [index[line.shot.setting] for line in make_rows(scene.shots)], "remarks": scene.remarks}
         rows.append(row)
     return rows
 

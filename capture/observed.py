@@ -67,8 +67,8 @@ class Observed:
     def without_copies(self, of: Iterable[Original], workers: Workers = IN_THIS_PROCESS) -> Observed:
         """Leave out the frames that are byte for byte one of these files."""
         originals: dict[object, dict[str | None, str]] = {}
-        for one in of:
-            originals.setdefault((one.iso, one.exposure_s, one.size_bytes), {})[one.sha256] = one.path
+        for row in of:
+            originals.setdefault((row.iso, row.exposure_s, row.size_bytes), {})[row.sha256] = row.path
         # A file is hashed only if one with its settings and its size is known.
         sizes = {frame.path: (frame.iso, frame.exposure_s, frame.path.stat().st_size) for frame in self.frames}
         alike = [path for path, settings in sizes.items() if settings in originals]

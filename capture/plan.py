@@ -150,7 +150,7 @@ class Plan:
         return self._with(replace(scene, notes=tuple(dict.fromkeys((*scene.notes, note)))))
 
     def _with(self, changed: ScenePlan) -> Plan:
-        return replace(self, scenes=tuple(changed if one.name == changed.name else one for one in self.scenes))
+        return replace(self, scenes=tuple(changed if scene.name == changed.name else scene for scene in self.scenes))
 
     def only(self, names: Sequence[str]) -> Plan:
         """Return the plan of some scenes alone; ``"calibration"`` names the calibration frames.

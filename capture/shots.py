@@ -217,7 +217,7 @@ def _say_what_to_change(
         time for time in camera.shutter.times if isinstance(_shots_or_none(camera, protocol, time.nominal_s), tuple)
     ]
     if not fitting:
-        exposures_s = [protocol.exposure_s(one, metered_s) for one in protocol.frames()]
+        exposures_s = [protocol.exposure_s(frame, metered_s) for frame in protocol.frames()]
         return (
             f"{metered}: the protocol asks for times from {min(exposures_s)} s to {max(exposures_s)} s, and no metered "
             f"time brings all of them between {camera.fastest.dial} s and {camera.slowest.dial} s, which "

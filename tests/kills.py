@@ -11,16 +11,17 @@ them otherwise. What a trial demands:
   its blocks otherwise when a file is opened twice.)
 
 Commands run in forks of this process, which has imported all that they need: the whole time of a fork is work. Every
-twentieth is a process of its own, with two workers where the command has any.
-Of the others each second one is ended some time after its begin, drawn over the time that the command takes; the rest
-by themselves, before a step that changes a folder (a file that is opened to be written, renamed, linked or removed, a
-new folder), drawn over the steps of the command: the moments that matter may be a thousandth of its time.
+twentieth has two workers where the command has any. Of the others each second one is ended some time after its begin,
+drawn over the time that the command takes; the rest by themselves, before a step that changes a folder (a file that is
+opened to be written, renamed, linked or removed, a new folder), drawn over the steps of the command: the moments that
+matter may be a thousandth of its time.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+import io
 import os
 import random
 import shutil
@@ -32,8 +33,9 @@ import threading
 import time
 import traceback
 from collections import Counter
-from contextlib import contextmanager, suppress
+from contextlib import chdir, redirect_stdout, suppress
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -44,7 +46,7 @@ from tests.syncing import not_synced
 from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
 ROOT = Path(__file__).parents[1]
 WITH_WORKERS = 20  # each so-manyth trial has two worker processes
@@ -57,15 +59,19 @@ JOBS = "{jobs}"
 
 @dataclass(frozen=True)
 class Case:
-    """A command: what it reads (``inputs``, made once), what is in its folder at first, and its arguments there."""
+    """A command: what it reads (``inputs``, made once), the folder of it that is copied at first, and its arguments."""
 
     program: str
     arguments: str
-    inputs: Callable[[Path], None]
-    begin: Callable[[Path, Path], None] | None = None
+    inputs: Callable[[Path], object]
+    copied: str = ""
 
     def command(self, jobs: int) -> list[str]:
         return self.arguments.replace(JOBS, str(jobs)).split()
+
+    def main(self) -> Callable[[list[str] | None], int]:
+        main: Callable[[list[str] | None], int] = import_module(f"{self.program}.cli.main").main
+        return main
 
 
 def demo_tree(folder: Path) -> None:
@@ -88,20 +94,8 @@ def predictions(folder: Path) -> None:
     from tests.evaluation.helpers import Tree, place
 
     demo_tree(folder)
-    place(folder / "preds", Tree(folder / "tree"))
-
-
-def several_predictions(folder: Path) -> None:
-    predictions(folder)
-    shutil.copytree(folder / "preds", folder / "others")
-
-
-def store(folder: Path) -> None:
-    from tests.sources.store.helpers import pack_tree
-    from tests.trees import tree_in
-
-    demo_tree(folder)
-    pack_tree(tree_in(folder / "tree"), folder / "eld.h5")
+    for name in ("preds", "others"):
+        place(folder / name, Tree(folder / "tree"))
 
 
 def calibration_frames(folder: Path) -> None:
@@ -118,32 +112,18 @@ def memory_card(folder: Path) -> None:
     plan.save(folder / "plan.json")
 
 
-def manifests(inputs: Path, folder: Path) -> None:
-    shutil.copytree(inputs / "tree" / "manifests", folder / "manifests")
-
-
 ELD = "--root ../inputs/tree/data --manifest ../inputs/tree/manifests/eld-demo.csv"
 CASES = {
     "pack": Case("eldata", f"pack eld-demo -o store.h5 {ELD} --jobs {JOBS}", demo_tree),
-    **{
-        f"pack-{codec}": Case(
-            "eldata", f"pack ../inputs/clean -o store.h5 --compression {codec} --jobs {JOBS}", clean_raws
-        )
-        for codec in ("lz4", "zstd")
-    },
+    "pack-lz4": Case("eldata", f"pack ../inputs/clean -o store.h5 --compression lz4 --jobs {JOBS}", clean_raws),
     "lock": Case(
-        "eldata", f"lock manifests/eld-demo.csv --root ../inputs/tree/data --jobs {JOBS}", demo_tree, manifests
+        "eldata", f"lock manifests/eld-demo.csv --root ../inputs/tree/data --jobs {JOBS}", demo_tree, "tree/manifests"
     ),
     "synthesize": Case(
         "eldata", f"synthesize ../inputs/clean -o set --camera SonyA7S2 --per-image 2 --jobs {JOBS}", clean_raws
     ),
     "evaluate": Case(
-        "eldata",
-        f"evaluate ../inputs/preds {ELD} --csv s.csv --json s.json --html s.html --jobs {JOBS}",
-        predictions,
-    ),
-    "evaluate-several": Case(
-        "eldata", f"evaluate ../inputs/preds ../inputs/others {ELD} -o results --jobs {JOBS}", several_predictions
+        "eldata", f"evaluate ../inputs/preds ../inputs/others {ELD} -o results --jobs {JOBS}", predictions
     ),
     "baseline": Case("eldata", f"baseline input {ELD} -o preds --jobs {JOBS}", demo_tree),
     "predict": Case(
@@ -171,7 +151,6 @@ class Run:
 
     code: int
     said: str
-    seconds: float
 
 
 @dataclass
@@ -201,116 +180,87 @@ class Bench:
     seconds: dict[int, float] = field(default_factory=dict)
     steps: int = 0
 
+    @property
+    def folder(self) -> Path:
+        return self.base / "run"
+
     def prepare(self, most_jobs: int) -> list[str]:
         """Make the inputs, run the command undisturbed, in several ways; return what is wrong already."""
         (self.base / "inputs").mkdir()
         self.case.inputs(self.base / "inputs")
         self.begin()
         self.first = self.contents()
-        os.chdir(self.folder)
-        main_of(self.case.program)(self.case.command(1))  # what is imported and compiled now, forks have
-        os.chdir(self.base)
+        with chdir(self.folder), redirect_stdout(io.StringIO()):
+            self.case.main()(self.case.command(1))  # what is imported and compiled now, forks have
         self.expected = self.contents()
         for jobs in range(1, most_jobs + 1):
             self.begin()
+            begun = time.monotonic()
             run = self.run(jobs=jobs)
+            self.seconds[jobs] = time.monotonic() - begun
             if run.code != 0:
                 return [f"undisturbed: exit code {run.code}: {run.said}"]
             if self.contents() != self.expected:
-                return [f"undisturbed runs differ: {different(self)}"]
-            self.seconds[jobs] = run.seconds
-        self.steps = int((self.base / "steps").read_text(encoding="utf-8"))
+                return [f"undisturbed runs differ: {self.different()}"]
+            if jobs == 1:
+                self.steps = int((self.base / "steps").read_text(encoding="utf-8"))
         return []
-
-    @property
-    def folder(self) -> Path:
-        return self.base / "run"
 
     def begin(self) -> None:
         """Empty the folder, but for what is there at first."""
         shutil.rmtree(self.folder, ignore_errors=True)
-        self.folder.mkdir()
-        (self.folder / ".tmp").mkdir()  # for temporary files, which are to be gone as well
-        if self.case.begin is not None:
-            self.case.begin(self.base / "inputs", self.folder)
+        (self.folder / ".tmp").mkdir(parents=True)  # for temporary files, which are to be gone as well
+        if self.case.copied:
+            copied = self.base / "inputs" / self.case.copied
+            shutil.copytree(copied, self.folder / copied.name)
 
     def run(self, *, jobs: int = 1, number: int = 0, after_s: float = 0.0, step: int = 0) -> Run:
         """Run the command; send it a signal some time after its begin, or before a step, counted from 1."""
         log = self.base / "log"
         log.write_bytes(b"")
-        begun = time.monotonic()
-        pid = self._forked(log, number, step) if jobs == 1 else self._spawned(log, jobs)
-        if number and not step:
-            time.sleep(after_s)
-            with suppress(ProcessLookupError):
-                os.kill(pid, number)
-        _, status = os.waitpid(pid, 0)
-        seconds = time.monotonic() - begun
-        until(lambda: not marked(self.mark), "the end of every process of a command")
-        return Run(os.waitstatus_to_exitcode(status), log.read_text(encoding="utf-8"), seconds)
-
-    @property
-    def mark(self) -> str:
-        """Stands in the environment of each process that the command starts."""
-        return f"KILLS={self.base}"
-
-    def _forked(self, log: Path, number: int, step: int) -> int:
-        sys.stdout.flush()
-        sys.stderr.flush()
         # a Ctrl-C that comes before the fork has put this program's handler down would be raised in this program's code
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         pid = os.fork()
         if not pid:
             try:
-                self._be(log, number, step)
+                self._be(log, jobs, Steps(number, step))
             finally:  # a Ctrl-C just before the work, or after it; whatever it was, a fork must not come back
                 signal.signal(signal.SIGINT, signal.SIG_DFL)
                 os.kill(os.getpid(), signal.SIGINT)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
-        return pid
+        if number and not step:
+            time.sleep(after_s)
+            with suppress(ProcessLookupError):
+                os.kill(pid, number)
+        _, status = os.waitpid(pid, 0)
+        until(lambda: not marked(f"KILLS={self.base}"), "the end of every process of a command")
+        return Run(os.waitstatus_to_exitcode(status), log.read_text(encoding="utf-8"))
 
-    def _be(self, log: Path, number: int, step: int) -> NoReturn:
+    def _be(self, log: Path, jobs: int, steps: Steps) -> NoReturn:
+        """Be the command, in a fork; each process that it starts has ``KILLS`` in its environment."""
         code = 99
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        steps = Steps(number, step)
         try:
             os.setsid()
-            os.environ["KILLS"] = str(self.base)
+            os.environ |= {"KILLS": str(self.base), "PYTHONPATH": str(ROOT)}
             os.chdir(self.folder)
-            tempfile.tempdir = str(self.folder / ".tmp")
+            tempfile.tempdir = os.environ["TMPDIR"] = str(self.folder / ".tmp")
             nowhere = os.open(os.devnull, os.O_RDWR)
             os.dup2(nowhere, 0)
             os.dup2(nowhere, 1)
             os.dup2(os.open(log, os.O_WRONLY), 2)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # what it raises is in the log
-            sys.argv = [self.case.program, *self.case.command(1)]
+            sys.argv = [self.case.program, *self.case.command(jobs)]
             sys.addaudithook(steps.see)
-            code = main_of(self.case.program)(None)
+            code = self.case.main()(None)
         except BaseException:  # noqa: BLE001 # a fork must not come back
             traceback.print_exc()
         finally:
             with suppress(Exception):
                 sys.stdout.flush()
-            if not number:
+            if not steps.number:
                 (self.base / "steps").write_text(str(steps.seen), encoding="utf-8")
             os._exit(code)
-
-    def _spawned(self, log: Path, jobs: int) -> int:
-        code = f"import sys; from {self.case.program}.cli.main import main; sys.exit(main())"
-        command = [sys.executable, "-c", code, *self.case.command(jobs)]
-        ours = {"PYTHONPATH": str(ROOT), "TMPDIR": str(self.folder / ".tmp"), "KILLS": str(self.base)}
-        with log.open("wb") as said:
-            process = subprocess.Popen(
-                command,
-                cwd=self.folder,
-                env=os.environ | ours,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=said,
-                start_new_session=True,
-            )
-        process.returncode = 0  # it is waited for above
-        return process.pid
 
     def contents(self) -> dict[str, str]:
         """Digests of all files and folders."""
@@ -320,13 +270,19 @@ class Bench:
             if not path.name.endswith((".nbi", ".nbc"))
         }
 
+    def different(self) -> list[str]:
+        """Name what differs from an undisturbed run's folder."""
+        now = self.contents()
+        return sorted(name for name in now.keys() | self.expected.keys() if now.get(name) != self.expected.get(name))
 
-def main_of(program: str) -> Callable[[list[str] | None], int]:
-    if program == "eldata":
-        from eldata.cli.main import main
-    else:
-        from capture.cli.main import main
-    return main
+    def half_written(self) -> list[str]:
+        """Name the files, hidden ones of unfinished work left out, that are neither as before nor as after."""
+        return [
+            name
+            for name, now in self.contents().items()
+            if now not in (self.expected.get(name), self.first.get(name))
+            and not any(part.startswith(".") for part in Path(name).parts)
+        ]
 
 
 def digest(path: Path) -> str:
@@ -339,34 +295,17 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def marked(mark: str) -> list[int]:
+def marked(mark: str) -> list[str]:
     """The processes that have a text in their environment, zombies left out: those have none any more."""
-    found = []
+    processes = []
     for environment in Path("/proc").glob("[0-9]*/environ"):
         with suppress(OSError):
             if mark.encode() in environment.read_bytes():
-                found.append(int(environment.parent.name))
-    return found
+                processes.append(environment.parent.name)
+    return processes
 
 
 # --- trials -----------------------------------------------------------------------------------------------------------
-
-
-def is_own(name: str) -> bool:
-    """Whether a file's name is its own, and not a hidden one of unfinished work."""
-    return not any(part.startswith(".") for part in Path(name).parts)
-
-
-def half_written(bench: Bench) -> list[str]:
-    return [
-        name
-        for name, found in bench.contents().items()
-        if is_own(name) and found not in (bench.expected.get(name), bench.first.get(name))
-    ]
-
-
-def leftovers(bench: Bench) -> list[str]:
-    return [name for name in bench.contents() if name.endswith(".part") and Path(name).name.startswith(".")]
 
 
 def trials(bench: Bench, count: int, number: int, generator: random.Random) -> tuple[Counter[str], list[str]]:
@@ -393,7 +332,8 @@ def trials(bench: Bench, count: int, number: int, generator: random.Random) -> t
 def wrong_of(bench: Bench, run: Run, number: int, counted: Counter[str], jobs: int) -> list[str]:
     """What is wrong after a signal, and after the same command was run again."""
     wrong = []
-    dirty, temporary = half_written(bench), leftovers(bench)
+    dirty = bench.half_written()
+    temporary = [name for name in bench.contents() if name.endswith(".part") and Path(name).name.startswith(".")]
     counted["left unfinished work"] += bench.contents() not in (bench.first, bench.expected)
     counted["left a temporary file"] += bool(temporary)
     if dirty:
@@ -416,13 +356,8 @@ def wrong_of(bench: Bench, run: Run, number: int, counted: Counter[str], jobs: i
     if again.code != 0 and not (again.code == 2 and "already" in again.said and done):
         wrong.append(f"run again: exit code {again.code}: {again.said}")
     if not done:
-        wrong.append(f"run again: {different(bench)}")
+        wrong.append(f"run again: {bench.different()}")
     return wrong
-
-
-def different(bench: Bench) -> list[str]:
-    found = bench.contents()
-    return sorted(name for name in found.keys() | bench.expected.keys() if found.get(name) != bench.expected.get(name))
 
 
 def in_a_process(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -446,8 +381,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in arguments.commands or CASES:
         with tempfile.TemporaryDirectory() as folder:
             bench = Bench(CASES[name], Path(folder))
-            with no_output():
-                wrong = bench.prepare(2 if arguments.trials >= WITH_WORKERS else 1)
+            wrong = bench.prepare(2 if arguments.trials >= WITH_WORKERS else 1)
             for word in arguments.signals if not wrong else ():
                 number = signal.Signals[f"SIG{word}"]
                 generator = random.Random(f"{name} {arguments.seed}")  # noqa: S311 # moments, no secrets
@@ -464,20 +398,6 @@ def main(argv: list[str] | None = None) -> int:
             print(f"  {name}: {text}", flush=True)
         failed |= bool(wrong)
     return int(failed)
-
-
-@contextmanager
-def no_output() -> Iterator[None]:
-    """Show nothing of what is printed: commands that run here print their results."""
-    sys.stdout.flush()
-    shown, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
-    try:
-        yield
-        sys.stdout.flush()
-    finally:
-        os.chdir(ROOT)
-        os.dup2(shown, 1)
 
 
 if __name__ == "__main__":

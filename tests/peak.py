@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def peak_kib() -> int:
-    """Return it in KiB; where the system tells no better, it may be that of the process which started this one."""
+    """Peak memory in KiB; where the system tells no better, it may be the starting process's."""
     status = Path("/proc/self/status")
     if status.exists():
         return next(int(line.split()[1]) for line in status.read_text().splitlines() if line.startswith("VmHWM"))

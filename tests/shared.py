@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def there(value: T | None) -> T:
-    """Return what was found, which is not nothing."""
+    """Assert that a value is not None, and pass it on."""
     assert value is not None
     return value
 

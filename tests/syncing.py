@@ -53,5 +53,5 @@ class OnDisk:
         return {path.name: size == path.stat().st_size for path, size in self._named.items() if path.exists()}
 
     def has(self, path: Path) -> bool:
-        """Return whether all of a file, or a folder as it is, has been synced."""
+        """Whether all of a file, or a folder as it is, has been synced."""
         return self._of(path) == path.stat().st_size

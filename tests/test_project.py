@@ -54,16 +54,11 @@ def test_the_citation_is_whole() -> None:
     assert citation["license"] == PROJECT["project"]["license"]
     assert citation["authors"] == PROJECT["project"]["authors"]
     assert all(isinstance(citation[name], str) for name in ("message", "title", "abstract"))
-    for reference in citation["references"]:
-        assert {"type", "title", "authors"} <= set(reference)
-
-
-def test_the_paper_is_cited_as_its_dataset_card_has_it() -> None:
-    (paper,) = parsed(ROOT / "CITATION.cff")["references"]
+    (paper,) = citation["references"]
     names = [f"{author['given-names'][0]}. {author['family-names']}" for author in paper["authors"]]
     authors = " and ".join([", ".join(names[:-1]), names[-1]])
     cited = f"{authors}, {paper['title']}, {paper['journal']}, {paper['year']}"
-    assert shipped_manifest("eld").card.citation == cited
+    assert (paper["type"], shipped_manifest("eld").card.citation) == ("article", cited)
 
 
 # --- forms --------------------------------------------------------------------------------------------------------
@@ -77,21 +72,10 @@ def test_a_form_is_well_formed(path: Path) -> None:
     ids = [field["id"] for field in form["body"] if field["type"] != "markdown"]
     assert len(ids) == len(set(ids))
     for field in form["body"]:
-        attributes = field["attributes"]
-        if field["type"] == "markdown":
-            assert attributes["value"]
-            continue
-        assert field["type"] in ("input", "textarea", "checkboxes")
-        assert isinstance(attributes["label"], str)
-        assert isinstance(attributes.get("description", ""), str)
-        if field["type"] == "checkboxes":
-            assert all(isinstance(option["label"], str) for option in attributes["options"])
-
-
-def test_numbers_that_do_not_match_come_with_what_explains_them() -> None:
-    form = parsed(ROOT / ".github" / "ISSUE_TEMPLATE" / "numbers-do-not-match.yml")
-    required = {field["id"] for field in form["body"] if field.get("validations", {}).get("required")}
-    assert required >= {"numbers", "protocol", "manifest", "result", "command", "versions"}
+        assert field["type"] in ("input", "textarea", "checkboxes", "markdown")
+        assert isinstance(field["attributes"]["value" if field["type"] == "markdown" else "label"], str)
+        for option in field["attributes"].get("options", ()):
+            assert isinstance(option["label"], str)
 
 
 # --- workflows and hooks ------------------------------------------------------------------------------------------
@@ -117,9 +101,9 @@ def test_a_workflow_is_well_formed(path: Path) -> None:
 
 
 def test_every_file_that_a_workflow_names_is_there() -> None:
-    named = [word for path in WORKFLOWS for step in steps(parsed(path)) for word in step.get("run", "").split()]
-    files = [word for word in named if re.match(r"(tests|\.ci|manifests|docs)/", word)]
-    assert len(files) > 5
+    words = [word for path in WORKFLOWS for step in steps(parsed(path)) for word in step.get("run", "").split()]
+    files = {word for word in words if re.match(r"(tests|\.ci|manifests|docs)/", word)}
+    assert files
     assert [name for name in files if not (ROOT / name).exists()] == []
 
 
@@ -162,10 +146,6 @@ RELEASED = """# Changelog
 CITED = "title: eldata\nversion: 0.2.0\nlicense: MIT\n"
 
 
-def test_notes_are_the_section_of_the_version() -> None:
-    assert script("release").notes("v0.2.0", "0.2.0", RELEASED, CITED) == "- New.\n"
-
-
 @pytest.mark.parametrize(
     ("tag", "changelog", "citation", "words"),
     [
@@ -176,30 +156,19 @@ def test_notes_are_the_section_of_the_version() -> None:
     ],
 )
 def test_a_release_needs_what_it_says_to_agree(tag: str, changelog: str, citation: str, words: str) -> None:
+    assert script("release").notes("v0.2.0", "0.2.0", RELEASED, CITED) == "- New.\n"
     with pytest.raises(ValueError, match=words):
         script("release").notes(tag, "0.2.0", changelog, citation)
-
-
-def test_a_tag_that_does_not_fit_ends_the_release() -> None:
-    command = [sys.executable, str(ROOT / ".ci" / "release.py"), "v99.0.0"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
-    assert done.returncode == 1
-    assert done.stdout == ""
-    assert done.stderr.startswith("the tag is v99.0.0")
 
 
 # --- floors -------------------------------------------------------------------------------------------------------
 
 
-def test_floors_are_written_as_constraints() -> None:
-    command = [sys.executable, str(ROOT / ".ci" / "lowest.py")]
-    lines = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=True).stdout.splitlines()
-    assert lines == sorted(lines)
-    names = {line.partition("==")[0] for line in lines}
-    assert {"numpy", "torch", "rawpy", "dask", "py7zr"} <= names
-    assert not names & {"pytest", "mypy", "ruff"}, "tools of the extra dev"
-    for requirement in PROJECT["project"]["dependencies"]:
-        assert requirement.replace(">=", "==") in lines
+def test_floors_are_those_of_what_eldata_runs_with() -> None:
+    floors = script("lowest").floors((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert {"numpy", "torch", "rawpy", "dask", "py7zr"} <= set(floors)
+    assert not floors.keys() & {"pytest", "mypy", "ruff"}, "tools of the extra dev"
+    assert {f"{name}>={floor}" for name, floor in floors.items()} >= set(PROJECT["project"]["dependencies"])
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib
 import runpy
-import subprocess
-import sys
 from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -18,7 +16,6 @@ from eldata.datasets import DarkFrames, ELDDataset
 from eldata.manifest import verify
 from eldata.noise import CameraProfile, DarkShading
 from tests.test_architecture import ROOT
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -70,12 +67,13 @@ def test_the_whole_path(
     assert {800, 1600, 3200} <= set(map(float, dark.isos))
     rows = ["input", "P*+D", "virtual", "noise2noise", "paired"]
     options = [str(tmp_path), "--steps", "2", "--seeds", "2", "--cameras", "BenchAlpha", "--rows", *rows]
-    first = subprocess.run([sys.executable, STUDY, *options], capture_output=True, text=True, timeout=PATIENCE_S)
-    assert first.returncode == 0, first.stderr
+    main = runpy.run_path(str(STUDY))["main"]
     capsys.readouterr()
-    runpy.run_path(str(STUDY))["main"](options)
-    assert capsys.readouterr().out == first.stdout[first.stdout.index("| trained on") :]  # all was there
-    assert first.stdout.count("\n| ") == len(rows) + 2  # and two lines of the head
+    main(options)
+    first = capsys.readouterr().out
+    main(options)
+    assert capsys.readouterr().out == first[first.index("| trained on") :]  # all was there
+    assert first.count("\n| ") == len(rows) + 2  # and two lines of the head
 
 
 def test_intervals_of_seeds_are_those_of_a_paired_t_test(tmp_path: Path) -> None:
@@ -111,7 +109,7 @@ def test_the_documented_tables_are_those_of_the_records(folder: str, capsys: pyt
         "twelve --isos 100 --seed 2",  # and even ones
         "plain --isos 6400 --repeat 3",  # a distribution that ends
         "telegraph --isos 200 400",  # row noise holds, whatever the shape of the read noise
-        "silent --isos 100",
+        "silent --isos 800",
         "smoothed --isos 100 800",
     ],
 )
@@ -119,19 +117,7 @@ def test_what_the_study_of_calibration_found(case: str, monkeypatch: pytest.Monk
     monkeypatch.syspath_prepend(EXAMPLES)
     study: Any = importlib.import_module("prove_calibration")
     assert study.main(case.split()) == 0
-
-
-@pytest.mark.study
-def test_the_study_of_calibration_tells_right_from_wrong(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One simulated camera at three ISOs, whose figures hold; and against another K, which then do not."""
-    monkeypatch.syspath_prepend(EXAMPLES)
-    study: Any = importlib.import_module("prove_calibration")
-    few = ["silent", "--isos", "800", "1600", "3200"]
-    assert study.main(few) == 0
-    assert capsys.readouterr().out.startswith("3 cases of a camera at an ISO\n")
-    truths = study.Specimen.truths
-    monkeypatch.setattr(study.Specimen, "truths", lambda self: truths(self) | {"K": (1.1 * self.case.gain,)})
-    assert study.main(few) == 1
-    assert capsys.readouterr().out.count("FAR OFF, K, ") == 3
+    if case.startswith("silent"):  # against another K it does not hold
+        truths = study.Specimen.truths
+        monkeypatch.setattr(study.Specimen, "truths", lambda self: truths(self) | {"K": (1.1 * self.case.gain,)})
+        assert study.main(case.split()) == 1

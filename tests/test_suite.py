@@ -52,17 +52,13 @@ def test_no_test_looks_at_a_clock() -> None:
 
 
 def test_a_case_that_fails_is_named() -> None:
-    seen = []
-
-    @in_one_test("number", [1, 2, 3])
+    @in_one_test("number", [1, 2])
     @in_one_test("a, b", [("x", 1), ("y", 2)])
     def check(number: int, a: str, b: int) -> None:
-        seen.append((number, a, b))
-        assert (number, b) != (2, 2)
+        assert (number, a, b) != (2, "y", 2)
 
     with pytest.raises(AssertionError) as caught:
         check()
-    assert seen == [(1, "x", 1), (1, "y", 2), (2, "x", 1), (2, "y", 2)]
     assert caught.value.__notes__ == ["in the case a='y', b=2", "in the case number=2"]
 
 

@@ -62,22 +62,20 @@ def test_every_package_has_hashes_and_no_host() -> None:
     assert "--find-links" not in LOCK
 
 
-@in_one_test("python, system", product(PYTHONS, SYSTEMS))
-def test_all_that_pyproject_asks_for_is_locked(python: str, system: str) -> None:
+def asked() -> list[Requirement]:
+    """What pyproject.toml asks for, its extras included."""
     project = PROJECT["project"]
-    extras = [one for packages in project["optional-dependencies"].values() for one in packages]
-    asked = [Requirement(one) for one in (*project["dependencies"], *extras, *PROJECT["build-system"]["requires"])]
+    extras = [line for packages in project["optional-dependencies"].values() for line in packages]
+    return [Requirement(line) for line in (*project["dependencies"], *extras)]
+
+
+@in_one_test("python, system", product(PYTHONS, SYSTEMS))
+def test_all_that_pyproject_asks_for_is_locked_and_keeps_to_the_constraints(python: str, system: str) -> None:
     held = locked(python, system)
-    for requirement in asked:
+    for requirement in (*asked(), *map(Requirement, PROJECT["build-system"]["requires"]), *CONSTRAINTS):
         name = canonicalize_name(requirement.name)
         assert name == "torch" or requirement.specifier.contains(held[name]), requirement
-
-
-def test_the_lock_keeps_to_the_constraints() -> None:
-    held = locked("3.11", "linux")
-    assert {one.name for one in CONSTRAINTS} >= {"torch", "pooch", "mypy", "ruff"}
-    for one in CONSTRAINTS:
-        assert one.name == "torch" or one.specifier.contains(held[one.name]), one
+    assert {requirement.name for requirement in CONSTRAINTS} >= {"torch", "pooch", "mypy", "ruff"}
 
 
 def test_what_torch_needs_is_locked_though_torch_is_not() -> None:
@@ -113,26 +111,18 @@ def rows() -> dict[str, str]:
 
 
 def test_every_dependency_has_a_known_licence() -> None:
-    project = PROJECT["project"]
-    extras = [one for packages in project["optional-dependencies"].values() for one in packages]
-    asked = {canonicalize_name(Requirement(one).name) for one in (*project["dependencies"], *extras)}
-    assert asked <= set(rows())
-    for python in PYTHONS[:1]:
-        assert set(locked(python, "linux")) | {"torch"} == set(rows())
+    assert {canonicalize_name(requirement.name) for requirement in asked()} <= set(rows())
+    assert set(locked("3.11", "linux")) | {"torch"} == set(rows())
     assert [name for name, licence in rows().items() if licence in ("", "unknown", "None")] == []
 
 
 def test_the_licences_are_those_that_the_installed_packages_state() -> None:
     """Of the packages whose locked version is installed: other versions may state it in other words."""
     licences = script("licences")
-    same = [name for name, version in locked("3.11", "linux").items() if _installed(name) == version]
+    installed: dict[str, str] = {
+        canonicalize_name(package.name): package.version for package in metadata.distributions()
+    }
+    same = [name for name, version in locked("3.11", "linux").items() if installed.get(name) == version]
     if not same:
         pytest.skip("no package is installed at its locked version")
     assert {name: licences.licence_of(name) for name in same} == {name: rows()[name] for name in same}
-
-
-def _installed(name: str) -> str | None:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None

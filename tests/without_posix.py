@@ -68,11 +68,10 @@ def commands(parser: argparse.ArgumentParser, words: tuple[str, ...] = ()) -> It
 
 def show_help(program: str) -> int:
     """Ask each command of a program for help; return how many there are."""
-    main = importlib.import_module({"eldata": "eldata.cli.main", "capture": "capture.cli.main"}[program])
+    main = importlib.import_module(f"{program}.cli.main")
     every = list(commands(main.parser()))
     for words in every:
-        shown = io.StringIO()
-        with contextlib.redirect_stdout(shown), contextlib.suppress(SystemExit):
+        with contextlib.redirect_stdout(io.StringIO()) as shown:
             main.main([*words, "--help"])
         if f"usage: {program}" not in shown.getvalue():
             raise SystemExit(f"{program} {' '.join(words)} --help printed {shown.getvalue()!r}")

@@ -148,9 +148,9 @@ def _leave_single(frame: ReducedFrame | None, group: CheckedGroup) -> None:
 
 def _compare_pair(first: ReducedFrame, second: ReducedFrame, group: CheckedGroup) -> None:
     path = second.record.path
-    known = [one for one in brightness_ratios(first.cells, second.cells) if one is not None]
+    known = [ratio for ratio in brightness_ratios(first.cells, second.cells) if ratio is not None]
     if not known:
         group.remark(path, "too dark, or too much of it saturated, to compare it with its partner")
         return
-    ratio = max(known, key=lambda one: abs(one.value - 1))
+    ratio = max(known, key=lambda ratio: abs(ratio.value - 1))
     group.measure("pair", path, ratio.in_percent(1), against=file_name(first.record.path))

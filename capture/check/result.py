@@ -212,7 +212,7 @@ class Estimate:
     standard_error: float = 0.0
 
     def in_percent(self, off: float = 0.0) -> Estimate:
-        """Return it in percent, as the distance from ``off``."""
+        """Express the distance from ``off`` in percent."""
         return Estimate(100 * (self.value - off), 100 * self.standard_error)
 
 
@@ -292,7 +292,7 @@ class CheckedGroup:
     @property
     def verdict(self) -> Verdict:
         """The most severe verdict of its measures and remarks."""
-        return worst([one.verdict for one in self.findings])
+        return worst([finding.verdict for finding in self.findings])
 
     @property
     def reasons(self) -> tuple[Measure | Remark, ...]:
@@ -302,33 +302,33 @@ class CheckedGroup:
 
     def verdict_of(self, path: str) -> Verdict:
         """Return the most severe verdict about one file."""
-        return worst([one.verdict for one in self.findings if one.path == path])
+        return worst([finding.verdict for finding in self.findings if finding.path == path])
 
     def columns(self) -> tuple[str, ...]:
         """Return the names of what was measured of pairs, in the order in which it first occurs."""
-        return tuple(dict.fromkeys(one.name for one in self.measures if one.path in self.pairs))
+        return tuple(dict.fromkeys(measure.name for measure in self.measures if measure.path in self.pairs))
 
     def row(self, path: str) -> dict[str, Measure]:
         """Return the measures of a pair by name; ``path`` is its noisy frame's."""
-        return {one.name: one for one in self.measures if one.path == path}
+        return {measure.name: measure for measure in self.measures if measure.path == path}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain JSON types, without pictures."""
         fields = ("value", "standard_error", "unit", "verdict")
-        rows = {path: [one.as_dict() for one in self.row(path).values()] for path in self.pairs}
+        rows = {path: [measure.as_dict() for measure in self.row(path).values()] for path in self.pairs}
         return {
             "name": self.name,
             "verdict": self.verdict,
             "files": self.files,
-            "reasons": [str(one) for one in self.reasons],
-            "measures": [one.as_dict() for one in self.measures],
-            "remarks": [asdict(one) for one in self.remarks],
+            "reasons": [str(reason) for reason in self.reasons],
+            "measures": [measure.as_dict() for measure in self.measures],
+            "remarks": [asdict(remark) for remark in self.remarks],
             "pairs": [
                 {
                     "path": path,
                     "reference": reference,
                     "verdict": self.verdict_of(path),
-                    "measured": {one["name"]: {field: one[field] for field in fields} for one in rows[path]},
+                    "measured": {row["name"]: {field: row[field] for field in fields} for row in rows[path]},
                 }
                 for path, reference in self.pairs.items()
             ],
@@ -337,8 +337,8 @@ class CheckedGroup:
     def format_text(self, told: Collection[Measure] = ()) -> str:
         """Return the verdict and its reasons, but those ``told`` below."""
         lines = [f"{self.name}: {self.verdict}"]
-        left = [one for one in self.reasons if one not in told]
-        lines += [f"    {one.verdict}: {one}" for one in left]
+        left = [reason for reason in self.reasons if reason not in told]
+        lines += [f"    {reason.verdict}: {reason}" for reason in left]
         if len(left) < len(self.reasons):
             lines.append(f"    {len(self.reasons) - len(left)} measures that are off alike in many files: see below")
         return "\n".join(lines)
@@ -373,11 +373,10 @@ class CheckReport:
 
     def format_text(self) -> str:
         """Return the report as text: what is not to be kept and why, what is :attr:`alike`, and how many are what."""
-        told = {one for many in _find_alike(self.groups) for one in many}
+        told = {measure for many in _find_alike(self.groups) for measure in many}
         total = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
-        said = distinct(
-            (one.path, (one.text,)) for group in self.groups for one in group.remarks if one.verdict == "keep"
-        )
+        remarks = [remark for group in self.groups for remark in group.remarks if remark.verdict == "keep"]
+        said = distinct((remark.path, (remark.text,)) for remark in remarks)
         groups = [group.format_text(told) for group in self.groups if group.verdict != "keep"]
         return "\n".join([*groups, *self.alike, *map(str, said), f"{self.dataset}: {total}"])
 
@@ -397,7 +396,7 @@ def _find_alike(groups: Iterable[CheckedGroup]) -> list[list[Measure]]:
     alike = []
     for many in groups_alike.values():
         middle = median(map(_relative, many))
-        close = [one for one in many if abs(_relative(one) - middle) <= _ALIKE]
+        close = [measure for measure in many if abs(_relative(measure) - middle) <= _ALIKE]
         alike += [close] if len(close) >= _MANY else []
     return alike
 
@@ -407,7 +406,7 @@ def _relative(measure: Measure) -> float:
 
 
 def _join_alike(many: Sequence[Measure]) -> str:
-    first, shares = many[0], [100 * _relative(one) for one in many]
+    first, shares = many[0], [100 * _relative(measure) for measure in many]
     return (
         f"{first.verdict}: {len(many)} files alike, such as {in_line(first.path)}: {first.name}: by the pixels it is "
         f"{median(shares):.0f} % of what it should be ({min(shares):.1f} to {max(shares):.1f} %); {first.kind.advice}"

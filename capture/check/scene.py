@@ -127,13 +127,13 @@ def _compare_references(first: ReducedFrame, tiles: Tiles | None, frame: Reduced
 def _measure_light(first: ReducedFrame, frame: ReducedFrame, against: str, group: CheckedGroup) -> float:
     """Measure the change of brightness; return its mean over the channels that tell it."""
     path, ratios = frame.record.path, brightness_ratios(first.cells, frame.cells)
-    known = [(colour, one) for colour, one in zip(first.cells.colours, ratios, strict=True) if one is not None]
+    known = [(colour, ratio) for colour, ratio in zip(first.cells.colours, ratios, strict=True) if ratio is not None]
     if not known:
         group.remark(path, f"too little is well exposed to compare it with {against}")
         return 1.0
     colour, worst_one = max(known, key=lambda pair: abs(pair[1].value - 1))
     group.measure("drift", path, worst_one.in_percent(1), colour=colour, against=against)
-    return sum(one.value for _, one in known) / len(known)
+    return sum(ratio.value for _, ratio in known) / len(known)
 
 
 # --- pairs ------------------------------------------------------------------------------------------------------------
@@ -181,7 +181,7 @@ def _check_pair(
         kind = _ratio_kind("ratio", nominal, RATIO_LOOK, RATIO_AGAIN, advice)
         group.measure(kind, path, ratio, against=against, ratio=_number(nominal))
     if exif_ratio is not None:
-        again, advice = _judge_exif(record, ratio, _given_ratios(reference.exposure, frame.exposure))
+        again, advice = _judge_exif(record, ratio, _list_dial_ratios(reference.exposure, frame.exposure))
         kind = _ratio_kind("EXIF ratio", exif_ratio, LIGHT_LOOK, again, advice)
         group.measure(kind, path, ratio, against=against, ratio=_number(exif_ratio))
     changed = changed_share(reference.cells, cells, fit.slope.value, fit.offset_dn)
@@ -212,11 +212,11 @@ def _exif_ratio(reference: Exposure, noisy: Exposure) -> Fraction | None:
     return reference.iso * reference.exposure_s / (noisy.iso * noisy.exposure_s)
 
 
-def _given_ratios(reference: Exposure, noisy: Exposure) -> list[float]:
-    """Return the ratios by the times that shutters in steps of a third or a half give where EXIF has the names."""
+def _list_dial_ratios(reference: Exposure, noisy: Exposure) -> list[float]:
+    """List the ratios by the true times of shutters in thirds or halves of a stop, whose names EXIF has."""
     ratios = []
     for step in _STEPS:
-        long, short = (ladder(step).get(one.exposure_s or Fraction(0)) for one in (reference, noisy))
+        long, short = (ladder(step).get(frame.exposure_s or Fraction(0)) for frame in (reference, noisy))
         if reference.iso is not None and noisy.iso is not None and long is not None and short is not None:
             ratios.append(float(reference.iso / noisy.iso) * long.true_s / short.true_s)
     return ratios
@@ -228,12 +228,12 @@ def _ratio_kind(name: str, expected: Fraction, look: float, again: float, advice
     return replace(find_kind(name), look=look * value, again=again * value, advice=advice, expected=value)
 
 
-def _judge_exif(record: FrameRecord, ratio: Estimate, given: list[float]) -> tuple[float, str]:
-    """Return from which share on a ratio that EXIF does not state is to be shot again, and the advice."""
+def _judge_exif(record: FrameRecord, ratio: Estimate, dial_ratios: list[float]) -> tuple[float, str]:
+    """Find the share off EXIF's ratio from which to shoot again, and the advice."""
     if UNCERTAIN_ISO in record.flags:
         advice = 'EXIF has the names of ISOs, whose measured speeds are others: amplification="nominal" is the plan\'s'
         return math.inf, advice
-    nearest = min(given, key=lambda one: abs(ratio.value - one), default=math.inf)
+    nearest = min(dial_ratios, key=lambda dial: abs(ratio.value - dial), default=math.inf)
     if abs(ratio.value - nearest) <= max(LIGHT_LOOK * nearest, SIGMAS * ratio.standard_error) < math.inf:
         return (
             math.inf,

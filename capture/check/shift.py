@@ -170,9 +170,9 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
         determinant = np.where(regular, determinant, np.inf)
         down = np.clip(down + (xx * by - xy * bx) / determinant, -_FURTHEST, _FURTHEST)
         right = np.clip(right + (yy * bx - xy * by) / determinant, -_FURTHEST, _FURTHEST)
-    one = first.spectra[:, band]
-    gain = (turned.real @ twice) / np.maximum(np.abs(one) ** 2 @ twice, 1e-300)  # a tile of one value tells nothing
-    residual = (second.spectra * _unshift(down, right, side))[:, band] - gain[:, None] * one
+    before = first.spectra[:, band]
+    gain = (turned.real @ twice) / np.maximum(np.abs(before) ** 2 @ twice, 1e-300)  # a tile of one value tells nothing
+    residual = (second.spectra * _unshift(down, right, side))[:, band] - gain[:, None] * before
     noise = (np.abs(residual) ** 2 @ twice) / twice.sum() * _HANN_CORRELATION
     regular &= gain > 0
     information = np.where(regular, np.stack([xx, yy]), 1) / np.where(regular, determinant, 1)
@@ -225,10 +225,9 @@ def measure_focus(first: Tiles, second: Tiles, shift: Shift, brightness: float) 
     band = (radius >= _FOCUS_BAND[0]) & (radius <= _FOCUS_BAND[1])
     down, right = (np.array([estimate.value]) for estimate in shift)
     undo = _unshift(down, right, side)[0][band] / brightness
-    one = first.spectra[:, band]
-    two = second.spectra[:, band] * undo
-    power_1, power_2 = (np.sum(np.abs(spectra) ** 2, axis=1, dtype=np.float64) for spectra in (one, two))
-    cross = np.sum((np.conj(one) * two).real, axis=1, dtype=np.float64)
+    before, after = first.spectra[:, band], second.spectra[:, band] * undo
+    power_1, power_2 = (np.sum(np.abs(spectra) ** 2, axis=1, dtype=np.float64) for spectra in (before, after))
+    cross = np.sum((np.conj(before) * after).real, axis=1, dtype=np.float64)
     if cross.size < 2 or cross.sum() <= 0:
         return None
     value = float(_contrast((power_1 - power_2).sum(), cross.sum()))

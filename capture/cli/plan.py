@@ -125,9 +125,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.plan is None:
         plan = before = _make(arguments)
     else:
-        given = [name for name in _CREATING if getattr(arguments, name) is not None]
-        if given:
-            raise ArgumentError(f"--{given[0]} is for a new plan; {arguments.plan} has its own: leave one of them out")
+        new_only = [name for name in _CREATING if getattr(arguments, name) is not None]
+        if new_only:
+            raise ArgumentError(f"--{new_only[0]} is for a new plan; {arguments.plan} has its own: leave one out")
         before = plan = Plan.load(arguments.plan)
     plan = _change(plan, arguments)
     target: str = arguments.output or (arguments.plan if plan != before else "")
@@ -164,10 +164,10 @@ def _metered_times(arguments: argparse.Namespace) -> dict[str, Fraction]:
     if arguments.scenes is None:
         raise ArgumentError("a new plan needs --scenes, a number of scenes, or the first and the last, as 11-15")
     names = [f"scene-{number}" for number in arguments.scenes]
-    given = dict(arguments.metered or ())
-    times = {name: given.pop(name, given.get(None)) for name in names}
-    given.pop(None, None)
-    for name in given:
+    metered = dict(arguments.metered or ())
+    times = {name: metered.pop(name, metered.get(None)) for name in names}
+    metered.pop(None, None)
+    for name in metered:
         raise ArgumentError(f"--metered {name}: the scenes are {names[0]} to {names[-1]}")
     lacking = [name for name in names if times[name] is None]
     if lacking:
@@ -209,7 +209,7 @@ def _change(plan: Plan, arguments: argparse.Namespace) -> Plan:
     for name, time in arguments.remeter:
         plan = plan.remeter(name, time)
     # First the aperture of every scene, whatever the order in which they are given.
-    for name, f_number in sorted(arguments.aperture, key=lambda given: given[0] is not None):
+    for name, f_number in sorted(arguments.aperture, key=lambda pair: pair[0] is not None):
         for scene in plan.scenes if name is None else (plan.scene(name),):
             plan = plan.set_aperture(scene.name, f_number)
     for text in arguments.note:
@@ -227,7 +227,7 @@ def _change(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 
 def format_plan(plan: Plan) -> str:
-    """Return a plan as text: a table for the scenes of each metered time, and one for the calibration frames."""
+    """Format a plan: a table for the scenes of each metered time, and one for the calibration frames."""
     from capture.observed import f_text
     from capture.shots import describe_duration
 
@@ -253,7 +253,7 @@ def format_plan(plan: Plan) -> str:
 
 
 def _format_shots(shots: Sequence[Shot]) -> str:
-    """Return the table of shots, a line for each row of the checklist, without the columns that none of them has."""
+    """Format the table of shots, a line for each row of the checklist, without the columns that none of them has."""
 
     def cell(value: object, form: str = "{}") -> str:
         return "-" if value is None else form.format(value)

@@ -26,13 +26,14 @@ _OPTIONS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--remote-debugging-pipe"),
 )
+_PROBLEMS = ("Network.requestWillBeSent", "Runtime.exceptionThrown", "Log.entryAdded")
 _KEYS = {
     "Tab": ("Tab", 9, ""),
     "Enter": ("Enter", 13, "\r"),
     "Space": (" ", 32, " "),
     "ArrowDown": ("ArrowDown", 40, ""),
-    "ArrowUp": ("ArrowUp", 38, ""),
     "ArrowRight": ("ArrowRight", 39, ""),
+    "ArrowUp": ("ArrowUp", 38, ""),
 }
 
 
@@ -145,7 +146,7 @@ class Page:
         self._browser.event("Page.loadEventFired", self.tab)
 
     def run(self, code: str) -> Any:
-        """Return what JavaScript gives."""
+        """The value of a JavaScript expression."""
         answer = self.send("Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
@@ -185,15 +186,13 @@ class Page:
         return base64.b64decode(self.send("Page.printToPDF", preferCSSPageSize=True)["data"])
 
     def problems(self) -> list[str]:
-        """Return what the page asked of the network, and what it complained about, so far."""
+        """Network requests and complaints of the page so far."""
         events = [event for event in self._browser.events if event.get("sessionId") == self.tab]
-        found = [
-            event["params"]["request"]["url"] for event in events if event.get("method") == "Network.requestWillBeSent"
-        ]
-        found = [url[:200] for url in found if not url.startswith(("file:", "data:", "blob:", "about:"))]
-        found += [json.dumps(event["params"]) for event in events if event.get("method") == "Runtime.exceptionThrown"]
-        found += [event["params"]["entry"]["text"] for event in events if event.get("method") == "Log.entryAdded"]
-        return found
+        by_method = {name: [e["params"] for e in events if e.get("method") == name] for name in _PROBLEMS}
+        asked, thrown, logged = by_method.values()
+        urls = [params["request"]["url"] for params in asked]
+        foreign = [url[:200] for url in urls if not url.startswith(("file:", "data:", "blob:", "about:"))]
+        return foreign + [json.dumps(params) for params in (*thrown, *logged)]
 
     def close(self) -> None:
         self._browser.send("Target.disposeBrowserContext", browserContextId=self.context)

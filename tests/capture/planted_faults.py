@@ -24,7 +24,7 @@ from eldata.demo.camera import CAMERAS
 from tests.capture.simulated_scenes import SIZE, Shot, write_scenes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -168,41 +168,32 @@ ORDER = ("keep", "look", "shoot again")
 # --- the study --------------------------------------------------------------------------------------------------------
 
 
-def verdicts(fault: Fault, scenes: int, first: int = 1) -> list[tuple[str, str, list[str]]]:
-    """Return kind, verdict and the names of what was found, of scenes with a fault (seeds as their numbers)."""
-    found: list[tuple[str, str, list[str]]] = []
-    for scene in range(first, first + 4 * scenes):
-        kind = KINDS[scene % 4]
-        if kind not in fault.kinds:
-            continue
-        with tempfile.TemporaryDirectory() as folder:
-            manifest = write_scenes(
-                Path(folder),
-                {(scene, number): mishap for number, mishap in fault.mishaps.items()},
-                scenes=(scene,),
-                ids=FEW,
-                camera=CAMERAS[scene // 4 % 2],
-                seed=scene,
-                picture=picture,
-                digital=lambda _, number, dn: fault.digital[number](dn) if number in fault.digital else dn,
-            )
-            (group,) = check(manifest, Path(folder) / "data").groups
-        names = [getattr(reason, "name", str(reason)) for reason in group.reasons]
-        found.append((kind, group.verdict, names))
-    return found
+def verdicts(fault: Fault, scenes: int) -> list[tuple[str, str, list[str]]]:
+    """Kind, verdict and the names of what was found, of scenes with a fault (seeds as their numbers)."""
+    return [judged(scene, FEW, fault) for scene in range(1, 1 + 4 * scenes) if KINDS[scene % 4] in fault.kinds]
 
 
 def clean(scenes: int) -> list[tuple[str, str, list[str]]]:
-    """Return the same of scenes without a fault, all sixteen frames of each."""
-    found: list[tuple[str, str, list[str]]] = []
-    for scene in range(1001, 1001 + scenes):
-        with tempfile.TemporaryDirectory() as folder:
-            manifest = write_scenes(
-                Path(folder), scenes=(scene,), camera=CAMERAS[scene // 4 % 2], seed=scene, picture=picture
-            )
-            (group,) = check(manifest, Path(folder) / "data").groups
-        found.append((KINDS[scene % 4], group.verdict, [str(reason) for reason in group.reasons]))
-    return found
+    """Kind, verdict and what was found of scenes without a fault, all sixteen frames of each."""
+    return [judged(scene, range(1, 17)) for scene in range(1001, 1001 + scenes)]
+
+
+def judged(scene: int, ids: Sequence[int], fault: Fault | None = None) -> tuple[str, str, list[str]]:
+    """Photograph and check one scene."""
+    mishaps, digital = (fault.mishaps, fault.digital) if fault else ({}, {})
+    with tempfile.TemporaryDirectory() as folder:
+        manifest = write_scenes(
+            Path(folder),
+            {(scene, number): mishap for number, mishap in mishaps.items()},
+            scenes=(scene,),
+            ids=ids,
+            camera=CAMERAS[scene // 4 % 2],
+            seed=scene,
+            picture=picture,
+            digital=lambda _, number, dn: digital[number](dn) if number in digital else dn,
+        )
+        (group,) = check(manifest, Path(folder) / "data").groups
+    return KINDS[scene % 4], group.verdict, [getattr(reason, "name", str(reason)) for reason in group.reasons]
 
 
 def main() -> None:
@@ -221,17 +212,10 @@ def main() -> None:
         found = verdicts(fault, options.scenes)
         said: Any = Counter(verdict for _, verdict, _ in found)
         missed = [kind for kind, verdict, _ in found if ORDER.index(verdict) < ORDER.index(fault.verdict)]
-        by = Counter(name for _, _, names in found for name in set(names))
+        by = Counter(name for _, _, names in found for name in set(names)).most_common(4)
         cells = [fault.name, fault.verdict, len(found), *(said[verdict] for verdict in ORDER[::-1])]
-        names = ", ".join(f"{name} {count}" for name, count in by.most_common(4))
-        print(
-            "|",
-            " | ".join(map(str, cells)),
-            "|",
-            names,
-            f"**missed: {Counter(missed)}** |" if missed else "|",
-            flush=True,
-        )
+        cells.append(", ".join(f"{name} {count}" for name, count in by) + f" **missed: {missed}**" * bool(missed))
+        print("|", *cells, "|", sep=" | ", flush=True)
     if options.clean:
         alarmed = [(kind, reasons) for kind, verdict, reasons in clean(options.clean) if verdict != "keep"]
         print(f"\nof {options.clean} clean scenes, {len(alarmed)} are not kept:", *alarmed, sep="\n")

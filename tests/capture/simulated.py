@@ -65,12 +65,12 @@ def as_planned(shots: Iterable[Shot]) -> list[Taken]:
     return [Taken(shot.iso, shot.setting.nominal_s) for shot in shots]
 
 
-def whole_plan(plan: Plan, between_s: float = 240.0) -> list[Taken]:
+def whole_plan(plan: Plan) -> list[Taken]:
     """Every scene as planned, with pauses between scenes."""
     result: list[Taken] = []
     for scene in plan.scenes:
         first, *rest = as_planned(scene.shots)
-        result += [replace(first, pause_s=between_s), *rest]
+        result += [replace(first, pause_s=240.0), *rest]
     return result + as_planned(() if plan.calibration is None else plan.calibration.shots)
 
 
@@ -79,9 +79,7 @@ def _mosaic(seed: int) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
     return np.random.default_rng(seed).integers(600, 15000, (SENSOR.height, SENSOR.width), dtype=np.uint16)
 
 
-def shoot(
-    folder: Path, taken: Iterable[Taken], *, times: bool = True, shuffle: int | None = None, digits: int = 4
-) -> list[Path]:
+def shoot(folder: Path, taken: Iterable[Taken], *, times: bool = True, shuffle: int | None = None) -> list[Path]:
     """Write a file a press; return the files in order. Names count up, or say nothing at all (``shuffle``)."""
     folder.mkdir(parents=True, exist_ok=True)
     presses = list(taken)
@@ -92,7 +90,7 @@ def shoot(
     files = []
     for index, (press, number) in enumerate(zip(presses, numbers, strict=True)):
         now += timedelta(seconds=press.pause_s)
-        path = folder / f"DSC{number:0{digits}d}.dng" if times else folder / f"DSC{index + 1}.dng"
+        path = folder / f"DSC{number:04d}.dng" if times else folder / f"DSC{index + 1}.dng"
         sensor = replace(SENSOR, model=press.model)
         exposure = Exposure(Fraction(press.iso), press.exposure_s, press.f_number)
         write_dng(path, _mosaic(index), sensor, exposure, taken=now if times else None)

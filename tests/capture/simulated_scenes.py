@@ -74,12 +74,11 @@ def write_scenes(
     ids: Sequence[int] = range(1, 17),
     picture: Callable[[int, tuple[int, int]], NDArray[np.float32]] = radiance,
     digital: Callable[[int, int, NDArray[np.uint16]], NDArray[np.uint16]] | None = None,
-    change_rows: Callable[[list[FrameRecord]], list[FrameRecord]] = list,
 ) -> Manifest:
     """Photograph scenes into ``folder``; ``mishaps`` are by scene and frame number, ``digital`` gets both, and DN."""
     camera = camera.with_size(*size)
     eld = EldCamera(camera.name, ".dng", BASE_ISO, dict.fromkeys(scenes, METERED_S))
-    records = [one for one in eld_records([eld], scenes) if number_of(one) in ids]
+    records = [record for record in eld_records([eld], scenes) if number_of(record) in ids]
     for record in records:
         scene, number = int(record.scene.removeprefix("scene-")), number_of(record)
         iso, exposure_s = int(cast("Fraction", record.iso)), cast("Fraction", record.exposure_s)
@@ -94,9 +93,8 @@ def write_scenes(
         path.parent.mkdir(parents=True, exist_ok=True)
         write_dng(path, mosaic, camera.sensor, shot.exif, compression="none")
     (folder / "manifests").mkdir(parents=True, exist_ok=True)
-    rows = change_rows(records)
-    card = demo_card("my", "Mine", "MY", {camera.name: camera.sensor}, rows, "simulated")
-    return save_manifest(folder / "manifests" / "my.csv", card, rows)
+    card = demo_card("my", "Mine", "MY", {camera.name: camera.sensor}, records, "simulated")
+    return save_manifest(folder / "manifests" / "my.csv", card, records)
 
 
 def number_of(record: FrameRecord) -> int:

@@ -119,8 +119,6 @@ def test_exif_may_state_the_name_or_what_is_given() -> None:
     [
         Shutter.between("1/4000", "30", THIRD, "as-named"),
         Shutter(("1/1000", "1/90", "0.25"), true_times="as-named"),
-        Shutter(("1/1000", "1/125", "4"), FULL),
-        Shutter.between("1/4000", "30", HALF, bulb_s=240),
         Shutter(("1/1000", "1/125", "4"), FULL, bulb_s=5),
     ],
 )
@@ -130,6 +128,7 @@ def test_round_trip(shutter: Shutter, tmp_path: Path) -> None:
     assert CameraDescription.load(tmp_path / "cam.json") == description
 
 
+LADDER = {"step": "1/3", "fastest": "1/8000", "slowest": "30"}
 GOOD: dict[str, Any] = {
     "schema": 1,
     "name": "Acme",
@@ -137,7 +136,7 @@ GOOD: dict[str, Any] = {
     "raw_extension": ".dng",
     "isos": [100, 800],
     "base_iso": 100,
-    "shutter": {"step": "1/3", "fastest": "1/8000", "slowest": "30"},
+    "shutter": LADDER,
 }
 
 
@@ -150,26 +149,18 @@ GOOD: dict[str, Any] = {
         ({"raw_extension": "ARW"}, "raw_extension of Acme: expected a raw file's, with the dot"),
         ({"isos": [800, 100]}, "isos of Acme: expected one or more, rising"),
         ({"base_iso": 200}, "base_iso of Acme: expected one of its ISOs, 100, 800; found 200"),
+        ({"true_isos": {"150": 100}}, "expected its ISOs, found 150"),
+        ({"true_isos": {"100": 20}}, "expected speeds within 1 stop of their names, found 20 for ISO 100"),
+        ({"true_isos": {"100": "81"}}, "true_isos.100: expected a finite number"),
+        ({"true_isos": {"ISO 100": 81}}, "true_isos: expected ISOs with their speeds"),
         ({"cfa": "foveon"}, "field cfa: expected one of 'bayer', 'xtrans', found 'foveon'"),
-        (
-            {"shutter": {"step": "1/4", "fastest": "1/8000", "slowest": "30"}},
-            "shutter step: expected 1/3, 1/2 or 1 stop, found 1/4",
-        ),
-        (
-            {"shutter": {"step": "1/3", "fastest": "1/7000", "slowest": "30"}},
-            "1/7000 s is not a standard time in steps of 1/3 stop; the nearest is 1/6400 s",
-        ),
-        ({"shutter": {"step": "1/3", "fastest": "30", "slowest": "1"}}, "the fastest time, 30 s, is slower than"),
+        ({"shutter": LADDER | {"step": "1/4"}}, "shutter step: expected 1/3, 1/2 or 1 stop, found 1/4"),
+        ({"shutter": LADDER | {"fastest": "1/7000"}}, "steps of 1/3 stop; the nearest is 1/6400 s"),
+        ({"shutter": LADDER | {"fastest": "30", "slowest": "1"}}, "the fastest time, 30 s, is slower than"),
         ({"shutter": {"times": []}}, "shutter times: expected at least one, found none"),
         ({"shutter": {"times": ["1", "1/2"]}}, "expected the fastest first, found 0.5 after 1"),
-        (
-            {"shutter": {"times": ["1/2"], "fastest": "1/8"}},
-            "field shutter.fastest: is unknown; known are step, true_times, bulb_s, times",
-        ),
-        (
-            {"shutter": {"times": ["1/2"], "true_times": "roughly"}},
-            "true_times: expected one of 'powers-of-two', 'as-named'",
-        ),
+        ({"shutter": {"times": ["1/2"], "fastest": "1/8"}}, "field shutter.fastest: is unknown; known are step, "),
+        ({"shutter": {"times": ["1/2"], "true_times": "roughly"}}, "expected one of 'powers-of-two', 'as-named'"),
     ],
 )
 def test_malformed_descriptions(change: dict[str, Any], words: str, tmp_path: Path) -> None:
@@ -188,17 +179,6 @@ def test_true_isos(tmp_path: Path) -> None:
     assert '"800": 644.5' in (tmp_path / "cam.json").read_text()
     assert CameraDescription.load(tmp_path / "cam.json") == camera
     assert (camera.speed(800), EXAMPLE.speed(800)) == (Fraction("644.5"), Fraction(800))
-    for wrong, words in (
-        ({"150": 100}, "expected its ISOs, found 150"),
-        ({"100": 20}, "expected speeds within 1 stop of their names, found 20 for ISO 100"),
-        ({"100": "81"}, "true_isos.100: expected a finite number"),
-        ({"ISO 100": 81}, "true_isos: expected ISOs with their speeds"),
-    ):
-        content = json.loads((tmp_path / "cam.json").read_text()) | {"true_isos": wrong}
-        (tmp_path / "wrong.json").write_text(json.dumps(content))
-        with pytest.raises(CaptureError) as caught:
-            CameraDescription.load(tmp_path / "wrong.json")
-        assert words in str(caught.value)
 
 
 # --- exact numbers --------------------------------------------------------------------------------------------------
@@ -209,26 +189,11 @@ stops = st.builds(Fraction, st.integers(-60, 60), st.sampled_from((1, 2, 3, 6)))
 numbers = st.builds(ExactNumber, fractions, stops)
 
 
-@given(fractions, stops)
-def test_value_is_kept(coefficient: Fraction, exponent: Fraction) -> None:
-    number = ExactNumber(coefficient, exponent)
-    assert 0 <= number.stops < 1
-    assert math.isclose(float(number), float(coefficient) * 2.0 ** float(exponent), rel_tol=1e-12)
-    assert math.isclose(number.log2, math.log2(coefficient) + float(exponent), abs_tol=1e-9)
-    assert (number.stops == 0) == (exponent.denominator == 1)  # a fraction, or irrational
-
-
 @given(numbers, numbers)
 def test_order_is_that_of_the_values(one: ExactNumber, other: ExactNumber) -> None:
     assert (one < other) + (other < one) + (one == other) == 1
     if abs(float(one) / float(other) - 1) > 1e-9:
         assert (one < other) == (float(one) < float(other))
-
-
-@pytest.mark.parametrize("coefficient", [Fraction(0), Fraction(-1, 3)])
-def test_not_positive_is_refused(coefficient: Fraction) -> None:
-    with pytest.raises(ArgumentError, match="above 0"):
-        ExactNumber(coefficient)
 
 
 @given(st.fractions(Fraction(1, 10**8), 10**8, max_denominator=10**8))
@@ -237,9 +202,7 @@ def test_seconds_are_read_back(seconds: Fraction) -> None:
         assert parse_seconds(str(seconds)) == seconds
 
 
-@pytest.mark.parametrize(
-    "text", ["", "1/", "/2", "1e3", "nan", "1/2/3", "1 s", "٣", "1_000", "1/0", "0", "-1", "9" * 20]
-)
+@pytest.mark.parametrize("text", ["", "1/", "/2", "1e3", "nan", "1/2/3", "1 s", "٣", "1/0", "-1", "9" * 20])
 def test_what_names_no_time_is_refused(text: str) -> None:
     with pytest.raises(ArgumentError):
         parse_seconds(text)

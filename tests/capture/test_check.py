@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -59,9 +60,7 @@ def value(group: CheckedGroup, name: str, number: int) -> Measure:
 # --- mishaps ------------------------------------------------------------------------------------------------------
 
 
-def late(mishap: Mishap) -> dict[int, Mishap]:
-    """Between the second reference and the rest."""
-    return dict.fromkeys((14, 15, 16), mishap)
+LATE = (14, 15, 16)  # between the second reference and the rest
 
 
 def blurred(sigma: float) -> Mishap:
@@ -94,10 +93,10 @@ WRONG_EXIF = {5: lambda shot: replace(shot, exif=Exposure(Fraction(800), Fractio
 MISHAPS: dict[str, tuple[dict[int, Mishap], int, set[tuple[str, int]], str]] = {
     "lamp": (lamp(1), 1, {("drift", 16)}, "look"),
     "lamp, more": (lamp(2), 1, {("drift", 6), ("drift", 16)}, "shoot again"),
-    "tripod": (late(moved(0.3)), 1, {("shift", 16)}, "look"),
-    "tripod, more": (late(moved(5)), 2, {("shift", 16)}, "shoot again"),
-    "focus": (late(blurred(0.6)), 1, {("focus", 16)}, "look"),
-    "focus, more": (late(blurred(1.5)), 2, {("focus", 16)}, "shoot again"),
+    "tripod": (dict.fromkeys(LATE, moved(0.3)), 1, {("shift", 16)}, "look"),
+    "tripod, more": (dict.fromkeys(LATE, moved(5)), 2, {("shift", 16)}, "shoot again"),
+    "focus": (dict.fromkeys(LATE, blurred(0.6)), 1, {("focus", 16)}, "look"),
+    "focus, more": (dict.fromkeys(LATE, blurred(1.5)), 2, {("focus", 16)}, "shoot again"),
     # Noisy frames 14 and 15 are pairs of reference 16.
     "movement": ({16: something_moves}, 2, {("movement", number) for number in (14, 15, 16)}, "look"),
     "overexposed": (EVERY, 2, {("clipped", number) for number in (1, 6, 16)}, "shoot again"),
@@ -141,6 +140,8 @@ def test_measures_have_the_values_that_were_planted(tmp_path: Path) -> None:
 def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     manifest = write_scenes(tmp_path, ids=FEW)
     folder = tmp_path / "data" / "MY" / ALPHA.name / "scene-1"
+    write_scenes(tmp_path / "small", ids=FEW, size=(192, 288))
+    shutil.copy(tmp_path / "small" / folder.relative_to(tmp_path) / "IMG_0005.dng", folder)
     (folder / "IMG_0006.dng").unlink()
     (folder / "IMG_0015.dng").write_bytes(b"no raw file")
     (folder / "IMG_0014.dng").write_bytes(b"\xff\xd8\xff\xe0" + b"\0" * 5000)
@@ -151,19 +152,7 @@ def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     assert "IMG_0015.dng: cannot be read" in text
     assert "IMG_0014.dng: a JPEG picture whatever its name says; use the raw file that the camera wrote" in text
     assert "IMG_0004.dng: its reference IMG_0006.dng cannot be used" in text
-
-
-def test_a_frame_of_another_size_is_named(tmp_path: Path) -> None:
-    manifest = write_scenes(tmp_path, ids=FEW)
-    write_scenes(tmp_path / "small", ids=FEW, size=(192, 288))
-    name = f"data/MY/{ALPHA.name}/scene-1/IMG_0005.dng"
-    (tmp_path / name).write_bytes((tmp_path / "small" / name).read_bytes())
-    (group,) = check(manifest, tmp_path / "data").groups
-    (reason,) = group.reasons
-    assert str(reason) == (
-        f"{ALPHA.name}/scene-1/IMG_0005.dng: size (288, 192), where {ALPHA.name}/scene-1/IMG_0001.dng has (576, 384); "
-        "take all frames with one camera and raw format"
-    )
+    assert "IMG_0005.dng: size (288, 192), where DemoAlpha/scene-1/IMG_0001.dng has (576, 384); take all fr" in text
 
 
 # --- the command --------------------------------------------------------------------------------------------------
@@ -206,11 +195,8 @@ def test_the_command_lists_and_exits_with_1(
     shown = " ".join(page.text.split())
     assert "my: contact sheet 1 keep 1 shoot again scene or set" in shown
     names = {attributes["id"] for _, attributes in page.elements if "id" in attributes}
-    links = [attributes["href"][1:] for attributes in page.all("a")]
-    assert set(links) <= names
-    assert {"group-1", "group-2", *(f"picture-{scene}-{number}" for scene in (1, 2) for number in range(1, 5))} <= set(
-        links
-    )
+    links = {attributes["href"][1:] for attributes in page.all("a")}
+    assert {"group-1", "group-2", "picture-1-1", "picture-2-4"} <= links <= names
     assert "http" not in sheet.read_text()
 
 
@@ -267,21 +253,11 @@ def test_the_result_does_not_depend_on_the_number_of_jobs(two_scenes: Path) -> N
 # --- limits and ratios ----------------------------------------------------------------------------------------------
 
 
-def perfect_score_db(*, light: float = 0.0, shift_px: float = 0.0) -> float:
-    """PSNR of a perfect denoiser, as docs/capture.md derives it: an rms of 0.3 and a slope of 0.01 per pixel."""
-    error = (light * 0.3) ** 2 + (shift_px * 0.01) ** 2
-    return -10 * math.log10(error) if error > 0 else math.inf
-
-
 def test_the_limits_are_those_of_a_perfect_denoiser() -> None:
-    """Light and shift cost the same at their limits; a fault ten decibels below the best takes 0.4 dB off it."""
-    assert perfect_score_db(light=LIGHT_AGAIN) == pytest.approx(BEST_PSNR_DB)
-    assert perfect_score_db(shift_px=SHIFT_AGAIN_PX) == pytest.approx(BEST_PSNR_DB)
-    assert perfect_score_db(light=LIGHT_LOOK) == pytest.approx(LOOK_DB)
-    assert perfect_score_db(shift_px=SHIFT_LOOK_PX) == pytest.approx(LOOK_DB)
-    both = perfect_score_db(light=LIGHT_AGAIN, shift_px=SHIFT_AGAIN_PX)
-    assert both == pytest.approx(BEST_PSNR_DB - 10 * math.log10(2))
-    assert perfect_score_db() == math.inf
+    """docs/capture.md derives them with an rms of 0.3 and a slope of 0.01 per pixel: light and shift cost the same."""
+    errors = (LIGHT_AGAIN * 0.3, SHIFT_AGAIN_PX * 0.01, LIGHT_LOOK * 0.3, SHIFT_LOOK_PX * 0.01)
+    expected_db = [BEST_PSNR_DB, BEST_PSNR_DB, LOOK_DB, LOOK_DB]
+    assert [-20 * math.log10(error) for error in errors] == pytest.approx(expected_db)
 
 
 def as_dialled(shot: Shot) -> Shot:

@@ -27,21 +27,17 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from capture.plan import Plan
+
+PLAN = small()
+
+
+def every_item() -> list[Mapping[str, str]]:
+    return [*read_items("preparation", PLAN), *(item for part in calibration_parts(PLAN) for item in part.items)]
 
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
-    return small()
-
-
-def every_item(plan: Plan) -> list[Mapping[str, str]]:
-    return [*read_items("preparation", plan), *(item for part in calibration_parts(plan) for item in part.items)]
-
-
-@pytest.fixture(scope="module")
-def page(plan: Plan) -> str:
-    return html_checklist(plan)
+def page() -> str:
+    return html_checklist(PLAN)
 
 
 # --- the page -----------------------------------------------------------------------------------------------------
@@ -76,29 +72,29 @@ def test_page_allows_its_own_script_and_style_alone(page: str) -> None:
         assert word not in page.replace("https://evil.example", "")
 
 
-def test_page_shows_every_shot(page: str, plan: Plan) -> None:
+def test_page_shows_every_shot(page: str) -> None:
     elements = checked(page).elements
     keys = [attributes["data-row"] for _, attributes in elements if "data-row" in attributes]
-    expected = [f"{scene.name}/{row.shot.number}" for scene in plan.scenes for row in make_rows(scene.shots)]
-    assert plan.calibration is not None
-    expected += [f"calibration/{row.shot.number}" for row in make_rows(plan.calibration.shots)]
+    expected = [f"{scene.name}/{row.shot.number}" for scene in PLAN.scenes for row in make_rows(scene.shots)]
+    assert PLAN.calibration is not None
+    expected += [f"calibration/{row.shot.number}" for row in make_rows(PLAN.calibration.shots)]
     assert keys == expected
-    assert sum(row.count for row in make_rows(plan.calibration.shots)) == len(plan.calibration.shots)
+    assert sum(row.count for row in make_rows(PLAN.calibration.shots)) == len(PLAN.calibration.shots)
     items = [attributes["data-item"] for _, attributes in elements if "data-item" in attributes]
-    assert items == [item["name"] for item in every_item(plan)]
+    assert items == [item["name"] for item in every_item()]
 
 
 # --- text and Markdown ----------------------------------------------------------------------------------------------
 
 
-def test_text_and_markdown_hold_what_the_page_holds(plan: Plan) -> None:
-    text, markdown = text_checklist(plan), markdown_checklist(plan)
-    for item in every_item(plan):
+def test_text_and_markdown_hold_what_the_page_holds() -> None:
+    text, markdown = text_checklist(PLAN), markdown_checklist(PLAN)
+    for item in every_item():
         assert f"- [ ] {item['text']}. {item['why']}" in text
         assert f"- [ ] {item['text']}. {item['why']}" in markdown
-    assert plan.calibration is not None
+    assert PLAN.calibration is not None
     found = [
-        row for shots in (*(scene.shots for scene in plan.scenes), plan.calibration.shots) for row in make_rows(shots)
+        row for shots in (*(scene.shots for scene in PLAN.scenes), PLAN.calibration.shots) for row in make_rows(shots)
     ]
     lines = [line.split() for line in text.splitlines() if line.startswith("[ ]")]
     assert len(lines) == len(found)
@@ -116,21 +112,19 @@ def test_text_and_markdown_hold_what_the_page_holds(plan: Plan) -> None:
 # --- the command ----------------------------------------------------------------------------------------------------
 
 
-def test_text_goes_to_the_terminal(plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    plan.save(tmp_path / "plan.json")
+def test_text_goes_to_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    PLAN.save(tmp_path / "plan.json")
     assert main(["checklist", str(tmp_path / "plan.json")]) == 0
-    assert capsys.readouterr().out == text_checklist(plan)
+    assert capsys.readouterr().out == text_checklist(PLAN)
     assert main(["checklist", str(tmp_path / "plan.json"), "--format", "md", "--json", str(tmp_path / "it.json")]) == 0
-    assert capsys.readouterr().out == markdown_checklist(plan)
+    assert capsys.readouterr().out == markdown_checklist(PLAN)
     content = json.loads((tmp_path / "it.json").read_text())
-    assert content == {"file": None, "format": "md", "plan": plan_digest(plan), "frames": len(plan.shots)}
+    assert content == {"file": None, "format": "md", "plan": plan_digest(PLAN), "frames": len(PLAN.shots)}
 
 
-def test_wrong_usage(
-    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_usage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
-    plan.save("plan.json")
+    PLAN.save("plan.json")
     for options, words in (
         ("--format html", "a page needs a file"),
         ("-o list.pdf", "expected a name that ends in .html, .md or .txt"),

@@ -21,25 +21,19 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.browser
 
-PHONE, DESKTOP = 390, 1280
 DOUBLE_TAP_S = 0.55  # longer than what the page takes for one tap too many
 
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
-    return small()
-
-
-@pytest.fixture(scope="module")
-def file(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("page") / "checklist.html"
-    path.write_text(html_checklist(plan), encoding="utf-8")
+    path.write_text(html_checklist(small()), encoding="utf-8")
     return path
 
 
 @pytest.fixture
 def bare(browser: Browser, tmp_path: Path) -> Iterator[Page]:
-    page = Page(browser, tmp_path, PHONE, 844)
+    page = Page(browser, tmp_path, 390, 844)
     yield page
     assert page.problems() == []  # nothing from the network, no error, nothing against the policy
     page.close()
@@ -208,14 +202,10 @@ window.OscillatorNode = class extends OscillatorNode {
 CLOCK = "(() => { const now = Date.now(); window.later = 0; Date.now = () => now + 1000 * window.later; })();"
 
 
-@pytest.fixture
-def timed(bare: Page) -> Page:
-    bare.send("Page.addScriptToEvaluateOnNewDocument", source=SOUNDS + CLOCK)
-    return show(bare, plan_of("bulb"))
-
-
-def test_timer_counts_the_exposure_and_sounds_at_its_end(timed: Page) -> None:
+def test_timer_counts_the_exposure_and_sounds_at_its_end(bare: Page) -> None:
     """Bulb 102 s, so named; the sounds are laid out in the sound's own clock, which goes on in the background."""
+    bare.send("Page.addScriptToEvaluateOnNewDocument", source=SOUNDS + CLOCK)
+    timed = show(bare, plan_of("bulb"))
     assert (timed.text("#next-dial"), timed.text("#timer")) == ("bulb 102 s", "Start timer, 102 s")
     timed.click("#timer")
     assert timed.text("#timer") == "Stop timer"
@@ -247,13 +237,8 @@ def test_screen_stays_on_while_a_scene_is_shot(page: Page) -> None:
     page.wait(lambda: page.run("lock") is None)
     page.run("document.dispatchEvent(new Event('visibilitychange'))")
     page.wait(lambda: held(page))
-    page.reload()
-    page.wait(lambda: held(page))  # in the middle of a scene
     page.run("window.first = lock; rowsOf('scene-1').filter((row) => !row.done).forEach((row) => setDone(row, true))")
     assert page.run("first.released && lock === null")  # the scene is done
-    page.click("#timer")
-    page.wait(lambda: held(page))
-    assert page.run("byId('not-awake').hidden")
 
 
 # --- storage --------------------------------------------------------------------------------------------------------
@@ -276,8 +261,8 @@ def test_without_storage_the_page_says_so_and_works(bare: Page, file: Path, kind
     assert bare.run("unsaved")
 
 
-@pytest.mark.parametrize("text", ["{broken", '{"prepared": [], "metered": {"scene-1": "2"}, "rows": {}}'])
-def test_unreadable_storage_is_set_aside(page: Page, text: str) -> None:
+def test_unreadable_storage_is_set_aside(page: Page) -> None:
+    text = '{"prepared": [], "metered": {"scene-1": "2"}, "rows": {}}'
     page.run(f"localStorage.setItem(KEY, {json.dumps(text)})")
     page.reload()
     assert "cannot be read" in page.text("#refused")
@@ -292,15 +277,12 @@ def test_unreadable_storage_is_set_aside(page: Page, text: str) -> None:
 # --- keyboard, looks, paper -----------------------------------------------------------------------------------------
 
 
-def focus(page: Page) -> str:
-    return str(
-        page.run("document.activeElement.id || document.activeElement.className || document.activeElement.tagName")
-    )
+FOCUS = "document.activeElement.id || document.activeElement.className || document.activeElement.tagName"
 
 
 def tab_to(page: Page, name: str) -> None:
     for _ in range(60):
-        if focus(page) == name:
+        if page.run(FOCUS) == name:
             return
         page.press("Tab")
     pytest.fail(f"{name} is not reached by Tab")
@@ -308,17 +290,15 @@ def tab_to(page: Page, name: str) -> None:
 
 def test_keyboard_alone(page: Page) -> None:
     page.press("Tab")
-    assert focus(page) == "skip"
+    assert page.run(FOCUS) == "skip"
     tab_to(page, "taken")
     page.press("Enter")
     time.sleep(DOUBLE_TAP_S)
     page.press("Space")
     assert ticked(page) == ["scene-1/1", "scene-1/2"]
-    style = "getComputedStyle(document.activeElement)"
-    assert page.run(f"{style}.outlineStyle + {style}.outlineWidth") == "solid3px"
     tab_to(page, "undo")
     page.press("Enter", 2)
-    assert (ticked(page), focus(page)) == ([], "taken")  # Undo has nothing to undo any more
+    assert (ticked(page), page.run(FOCUS)) == ([], "taken")  # Undo has nothing to undo any more
     tab_to(page, "scene-1-metered")
     page.press("ArrowUp", 3)
     assert page.run("metered.get('scene-1')") == "1"
@@ -341,57 +321,15 @@ LOOK = """(() => {
 })()"""
 
 
-@pytest.mark.parametrize("width", [320, DESKTOP])
-def test_fits_and_has_large_targets(page: Page, width: int) -> None:
-    page.resize(width)
+def test_fits_and_has_large_targets(page: Page) -> None:
+    page.resize(320)
     page.run("sections.forEach((section) => fold(section, true)); every('.more').forEach((e) => e.click())")
     page.run(f"rows.get('scene-1/1').remark = {json.dumps(HOSTILE)}; showAll()")
     meter(page, "scene-1", "1/10")
     found = page.run(LOOK)
-    assert found["width"] <= width
+    assert found["width"] <= 320
     assert (found["out"], found["small"], found["unnamed"]) == ([], [], [])
     assert found["targets"] > 200
-
-
-CONTRASTS = """(() => {
-  const parse = (text) => (text.match(/[\\d.]+/g) || []).map(Number);
-  const light = ([r, g, b]) => [r, g, b].map((v) => v / 255)
-    .map((v) => v <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4)
-    .reduce((sum, v, i) => sum + v * [.2126, .7152, .0722][i], 0);
-  const ground = (e) => {
-    for (let one = e; one; one = one.parentElement) {
-      const colour = parse(getComputedStyle(one).backgroundColor);
-      if (colour.length === 3) return colour;  // with a fourth number it is transparent
-    }
-    return parse(getComputedStyle(document.documentElement).backgroundColor);
-  };
-  const ratio = (a, b) => (Math.max(light(a), light(b)) + .05) / (Math.min(light(a), light(b)) + .05);
-  const texts = every("body *").filter((e) => e.checkVisibility() && !e.closest(".unseen, script, style, noscript")
-    && (e.matches("input, select") || [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim())));
-  const edges = every("button, select, input[type=text], .tick input")
-    .filter((e) => e.checkVisibility() && !e.matches(".fold"));
-  return {
-    texts: texts.map((e) => [ratio(parse(getComputedStyle(e).color), ground(e)), e.outerHTML.slice(0, 80)]),
-    edges: edges.map((e) => [
-      ratio(parse(getComputedStyle(e).borderTopColor), ground(e.parentElement)), e.outerHTML.slice(0, 80)]),
-    page: light(ground(document.body)),
-  };
-})()"""
-
-
-def test_contrast(page: Page) -> None:
-    page.run("setDone(rows.get('scene-1/2'), true); repeat(rows.get('scene-1/2'))")
-    meter(page, "scene-1", "1/10")
-    page.run("fold('scene-2', true); for (const name of ['not-kept', 'refused']) byId(name).hidden = false")
-    for theme in ("dark", "red", "amber", "light"):
-        page.run(f"setTheme('{theme}')")
-        found = page.run(CONTRASTS)
-        assert len(found["texts"]) > 100
-        assert [text for text in found["texts"] if text[0] < 4.5] == [], theme
-        assert [edge for edge in found["edges"] if edge[0] < 3] == [], theme
-        bar = page.run("document.querySelector('meta[name=theme-color]').content")  # of the phone's browser
-        if theme != "light":
-            assert (found["page"], bar) == (0, "rgb(0, 0, 0)")
 
 
 def test_paper(page: Page) -> None:
@@ -403,8 +341,4 @@ def test_paper(page: Page) -> None:
         page.run("every('button, select, progress').filter((e) => e.checkVisibility() && !e.matches('.fold')).length")
         == 0
     )
-    assert page.run("every('.shot').every((e) => e.checkVisibility())")
-    assert page.run("every('.notes input').every((e) => e.checkVisibility())")
-    found = page.run(CONTRASTS)
-    assert min(ratio for ratio, _ in found["texts"]) > 10
-    assert found["page"] == 1
+    assert page.run("every('.shot, .notes input').every((e) => e.checkVisibility())")

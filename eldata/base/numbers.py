@@ -13,14 +13,11 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from operator import index
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 from eldata.base.tables import with_error
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 Number = TypeVar("Number", int, float, Fraction)
 
@@ -205,12 +202,10 @@ class Figure:
         In plain letters, such as ``dB`` or ``DN/e-``; empty: it has none.
     decimals
         Of a mean in a table; ``None``: as many as its standard error warrants.
-    difference_decimals, single_decimals
+    fine_decimals
         Of a difference of two, and of one value among many. Default: ``decimals``.
     better
         Which of two values is the better one.
-    needs
-        What it is computed from, in words, such as ``flat-field frames``.
     computed_by
         The function that does it, ``module:name``, so that a declaration imports nothing; empty: it is not told.
     """
@@ -220,16 +215,13 @@ class Figure:
     meaning: str
     unit: str = ""
     decimals: int | None = None
-    difference_decimals: int | None = None
-    single_decimals: int | None = None
+    fine_decimals: int | None = None
     better: Better = "neither"
-    needs: tuple[str, ...] = ()
     computed_by: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("difference_decimals", "single_decimals"):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, self.decimals)
+        if self.fine_decimals is None:
+            object.__setattr__(self, "fine_decimals", self.decimals)
 
     @property
     def heading(self) -> str:
@@ -255,11 +247,11 @@ class Figure:
 
     def format_single(self, value: float | None) -> str:
         """Return one value among many, such as one image's, as :meth:`format` does a mean."""
-        return self._written(value, self.single_decimals)
+        return self._written(value, self.fine_decimals)
 
     def format_difference(self, value: float | None) -> str:
         """Return a difference of two values with its sign."""
-        decimals = self.difference_decimals
+        decimals = self.fine_decimals
         if value is None or math.isnan(value) or decimals is None:
             return self._written(value, decimals)
         return f"{value:+.{decimals}f}"
@@ -270,22 +262,3 @@ class Figure:
         if math.isnan(value):
             return NOT_KNOWN
         return with_error(value, error) if decimals is None else f"{value:.{decimals}f}"
-
-
-AnyFigure = TypeVar("AnyFigure", bound=Figure)
-
-
-def by_name(figures: Iterable[AnyFigure]) -> dict[str, AnyFigure]:
-    """Return a room's registry: its figures by their names, in their order.
-
-    Raises
-    ------
-    ValueError
-        If two have one name.
-    """
-    registry: dict[str, AnyFigure] = {}
-    for figure in figures:
-        if figure.name in registry:
-            raise ValueError(f"two figures are called {figure.name}")
-        registry[figure.name] = figure
-    return registry

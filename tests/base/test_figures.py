@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from eldata.base.numbers import Figure, by_name
+from eldata.base.numbers import Figure
 
 PSNR = Figure(name="psnr_db", label="PSNR", unit="dB", decimals=2, better="higher", meaning="peak signal to noise")
-SSIM = Figure(name="ssim", label="SSIM", decimals=3, difference_decimals=4, single_decimals=4, meaning="similarity")
+SSIM = Figure(name="ssim", label="SSIM", decimals=3, fine_decimals=4, meaning="similarity")
 GAIN = Figure(name="gain_dn_per_e", label="K", unit="DN/e-", meaning="overall system gain")
 SIGMA = Figure(name="sigma_tl_dn", label="sigma_TL", unit="DN", meaning="scale of the read noise")
 
@@ -55,9 +55,3 @@ def test_one_value_and_a_difference_have_decimals_of_their_own() -> None:
 
 def test_the_better_one_of_two_is_told_by_a_sign() -> None:
     assert (PSNR.sign, GAIN.sign) == (1, 0)
-
-
-def test_a_name_means_one_figure() -> None:
-    assert list(by_name([PSNR, SSIM])) == ["psnr_db", "ssim"]
-    with pytest.raises(ValueError, match="psnr_db"):
-        by_name([PSNR, SSIM, PSNR])

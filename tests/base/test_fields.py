@@ -255,15 +255,6 @@ def test_values_come_as_they_are() -> None:
     assert top.text("i", empty=True) == ""
 
 
-def test_long_whole_numbers_are_numbers_at_most() -> None:
-    top = parsed(f'{{"long": {"1" * 41}}}')
-    assert top.number("long") == float("1" * 41)
-    with pytest.raises(ManifestError, match=r"field long: expected a whole number.*, found "):
-        top.whole("long")
-    with pytest.raises(ManifestError, match="is not JSON that can be read: Exceeds the limit"):
-        parsed(f'{{"longer": {"1" * 5000}}}')
-
-
 def test_unknown_fields_are_refused_with_the_nearest_name() -> None:
     @dataclass
     class Record:

@@ -39,15 +39,12 @@ def put(folder: Path, count: int) -> None:
 def test_the_table_has_every_shipped_dataset(eldata: Cli) -> None:
     outcome = eldata("info")
     assert (outcome.code, outcome.err) == (0, "")
-    header, rule, *rows = outcome.out.splitlines()[: 2 + len(carded_names())]
-    assert header.split() == ["name", "files", "size", "in", "data", "title"]
-    assert set(rule) == {"-", " "}
+    _, _, *rows = outcome.out.splitlines()[: 2 + len(carded_names())]
     assert tuple(row.split()[0] for row in rows) == carded_names()
     for row, name in zip(rows, carded_names(), strict=True):
         card = shipped_card(name)
         assert row.endswith(card.title)
         if name not in shipped_names():
-            assert "not listed" in row
             assert "card alone" in row
             continue
         manifest = shipped_manifest(name)

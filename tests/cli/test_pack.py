@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import signal
 from typing import TYPE_CHECKING
-
-import pytest
 
 from eldata.datasets import DarkFrames
 from eldata.datasets.packed import PackedClips, PackedStore
-from eldata.sources.store import source_of_dataset
 from tests.cli.test_usage import assert_one_line
 from tests.datasets.test_dark_frames import written
 from tests.drv_tree import small_drv
-from tests.sources.store.helpers import start_packing
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -70,23 +63,6 @@ def test_a_damaged_store_is_listed_with_code_1(eldata: Cli, tree: Tree, tmp_path
     assert (outcome.code, outcome.err) == (1, "")
     assert "sha256 of the pixels" in outcome.out
     assert "copy or pack the store again" in outcome.out
-
-
-# --- processes of their own ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.kill
-def test_ctrl_c_is_one_line_and_leaves_no_half_store(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
-    store = tmp_path / "store.h5"
-    files = source_of_dataset("eld-demo", root=tree.root, manifest=tree.manifest).files
-    process = start_packing(command(tree, store, "--jobs", "1"), stop_at=files[7][0], folder=tmp_path)
-    os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=PATIENCE_S)
-    assert (process.returncode, out, err.count("\n")) == (130, "", 1)
-    assert "interrupted; files are written whole or not at all, so none is left half" in err
-    assert not store.exists()
-    assert eldata(*command(tree, store)).out.startswith("32 frames packed: ")
-    assert eldata("verify", store, "--level", "full").code == 0
 
 
 # --- clips ----------------------------------------------------------------------------------------------------------

@@ -67,15 +67,15 @@ def test_only_a_file_with_something_in_it_may_be_opened(tmp_path: Path) -> None:
         "dangling": "cannot be read: No such file or directory",
         "nothing": "cannot be read: No such file or directory",
         "file/below": "cannot be read: Not a directory",
-        "device": "is a device, not a file",
-        "pipe": "is a named pipe, not a file",
+        "device": "is a pipe, device or socket, not a file",
+        "pipe": "is a pipe, device or socket, not a file",
         ".": "is a folder, not a file",
         "nul\0": "cannot be read: its name holds a NUL character",
     }
     assert {name: file_problem(tmp_path / name) for name in expected} == expected
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(tmp_path / "socket"))
-        assert file_problem(tmp_path / "socket") == "is a socket, not a file"
+        assert file_problem(tmp_path / "socket") == "is a pipe, device or socket, not a file"
 
 
 @in_one_test(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 
 import pytest
 from hypothesis import given
@@ -54,20 +53,10 @@ def test_markdown_is_aligned_and_says_which_side() -> None:
     assert markdown_table(("a", "b"), [("1", "2")], left=(0, 1)).splitlines()[1] == "| --- | --- |"
 
 
-def unescaped(text: str) -> str:
-    """What CommonMark shows of text in which every special character is escaped; fails if one is not."""
-    plain = re.sub(r"\\[!-/:-@\[-`{-~]", "", text)
-    assert not re.search(r"[\\`*_{}\[\]<>|~&$]", plain), plain
-    return re.sub(r"\\([!-/:-@\[-`{-~])", r"\1", text)
-
-
 def test_markdown_shows_hostile_text_as_it_is() -> None:
-    assert unescaped(markdown_text(HOSTILE)) == " ".join(HOSTILE.split())
-    line = markdown_table(("name", "x"), [(HOSTILE, Strong("1"))]).splitlines()[2]
-    cells = re.split(r"(?<!\\)\|", line)  # bars that divide
-    assert len(cells) == 4
-    assert unescaped(cells[1].strip()) == " ".join(HOSTILE.split())
-    assert cells[2].strip() == "**1**"
+    text = r"a\_b\*c\|d\`e\`\<img src=x\>\[f\](javascript:g)\~h\~ \\ \$i\$ \&amp; # \{j\}"
+    assert markdown_text(HOSTILE) == text
+    assert f"| {text} | **1** |" in markdown_table(("name", "x"), [(HOSTILE, Strong("1"))])
 
 
 # --- LaTeX --------------------------------------------------------------------------------------------------------

@@ -18,8 +18,7 @@ import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may b
 import pytest
 
 from eldata.base.workers import Workers
-from eldata.errors import ArgumentError, RawFileError
-from eldata.raw.reading import read_header
+from eldata.errors import ArgumentError
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -45,16 +44,6 @@ def test_results_come_in_the_units_order(jobs: int) -> None:
     assert list(Workers(jobs).run(str.upper, units)) == units
     assert list(Workers(jobs).run(time.sleep, [0.3, 0.0, 0.2, 0.0])) == [None] * 4
     assert list(Workers(jobs).run(abs, list(range(-30, 0)))) == list(range(30, 0, -1))
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_our_errors_keep_their_fields(tmp_path: Path, jobs: int) -> None:
-    """Exceptions are pickled on their way; those with arguments of their own easily come back broken, or hang."""
-    missing = [tmp_path / "a.dng", tmp_path / "b.dng"]
-    with pytest.raises(RawFileError, match="No such file") as raised:
-        list(Workers(jobs).run(read_header, missing))
-    assert raised.value.path == missing[0]
-    assert str(missing[0]) in str(raised.value)
 
 
 @pytest.mark.parametrize("jobs", [0, -1])

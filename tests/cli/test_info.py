@@ -100,16 +100,9 @@ def test_every_dataset_has_its_page(name: str, eldata: Cli) -> None:
 
 def test_a_set_with_a_card_alone(eldata: Cli, tmp_path: Path) -> None:
     outcome = eldata("info", "rawnind", "--json", tmp_path / "x.json")
-    for words in (
-        "rawnind: Raw Natural Image Noise Dataset (RawNIND) (card version 1.0)",
-        "CFA        bayer and xtrans",
-        "files      eldata has no list of them, only this card",
-        "\nnot known\n    - ",
-        "\nnext\n    list your copy of camera raws: eldata manifest FOLDER -o mine.csv (docs/adding-a-dataset.md)\n",
-    ):
-        assert words in outcome.out
+    assert "files      eldata has no list of them, only this card" in outcome.out
+    assert "\nnext\n    list your copy of camera raws: eldata manifest FOLDER -o mine.csv" in outcome.out
     (dataset,) = json.loads((tmp_path / "x.json").read_text())["datasets"]
-    assert dataset["name"] == "rawnind"
     assert (dataset["manifest"], dataset["presence"], dataset["verify"]) == (None, None, None)
     assert_one_line(eldata("download", "rawnind"), "by its card alone", "eldata info rawnind")
     assert_one_line(eldata("evaluate", tmp_path, "--dataset", "rawnind"), "by its card alone", "eldata info rawnind")

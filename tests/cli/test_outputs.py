@@ -72,7 +72,7 @@ def test_a_place_to_write_to_is_tried_before_the_input_is_read(arguments: list[s
     problems = {
         "folder.csv": "cannot write folder.csv: is a folder, not a file",
         "no/x.csv": "cannot write no/x.csv: there is no folder no; make it first",
-        os.devnull: f"cannot write {os.devnull}: is a device, not a file",
+        os.devnull: f"cannot write {os.devnull}: is a pipe, device or socket, not a file",
         "": "cannot write .: is a folder, not a file",
     }
     for target, problem in problems.items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from typing import TYPE_CHECKING
 
 from eldata.datasets import DarkFrames
@@ -47,9 +46,6 @@ def test_a_folder_of_clean_raws(eldata: Cli, tree: Tree, tmp_path: Path) -> None
     assert_one_line(eldata("pack", "eld", "-o", tmp_path / "x.h5", "--reference", "*"), "is for a folder of raws")
     assert_one_line(eldata("pack", folder, "-o", tmp_path / "x.h5", "--split", "test"), "--split", "is a folder")
     assert_one_line(eldata("pack", tmp_path, "-o", tmp_path / "x.h5"), "holds no camera raw file")
-    (tmp_path / "one").mkdir()
-    shutil.copy(next(iter(folder.glob("*.dng"))), tmp_path / "one")
-    assert eldata("pack", tmp_path / "one", "-o", tmp_path / "one.h5").out.startswith("1 frame packed: ")
 
 
 def test_a_damaged_store_is_listed_with_code_1(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
@@ -80,12 +76,12 @@ def test_clips_are_packed_verified_and_read(eldata: Cli, tmp_path: Path) -> None
     assert len(PackedClips(store, crop=8)) == len(PackedClips(store, dynamic=True, crop=8)) == 1
     part = eldata(*packing, "-o", tmp_path / "m.h5", "--clip", "M0003")
     assert part.out.startswith("6 frames packed: ")
-    assert_one_line(
-        eldata(*packing, "-o", tmp_path / "x.h5", "--clip", "0008"), "no clip has scene 0008", "0007, M0003"
-    )
-    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--split", "x"), "no clip has split x", "dynamic")
-    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--camera", "X"), "no clip has camera X", "SonyRX100M6")
-    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--subset", "x"), "no subset is called 'x'")
+    for option, words in (
+        (("--clip", "0008"), ("no clip has scene 0008", "0007, M0003")),
+        (("--split", "x"), ("no clip has split x", "dynamic")),
+        (("--subset", "x"), ("no subset is called 'x'",)),
+    ):
+        assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", *option), *words)
     assert_one_line(eldata("pack", tmp_path, "-o", tmp_path / "x.h5", "--clip", "1"), "--clip", "is a folder")
 
 

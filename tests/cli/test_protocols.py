@@ -59,21 +59,6 @@ def test_a_file_of_ones_own(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert captured.err == f"eldata protocols: {path}, field base: is missing; a protocol needs base, name and title\n"
 
 
-@in_one_test(
-    "arguments, said",
-    [
-        (["elf"], "no protocol is called 'elf'; known are raw, eld, eld-uncorrected"),
-        (["sha256:0000"], "no shipped protocol has the digest sha256:0000"),
-        (["--dataset", "elder"], "no protocol is for dataset 'elder'"),
-    ],
-)
-def test_unknown_names(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command(*arguments) == 2
-    captured = capsys.readouterr()
-    assert captured.err.startswith(f"eldata protocols: {said}")
-    assert captured.err.count("\n") == 1
-
-
 # --- eldata evaluate --------------------------------------------------------------------------------------------------
 
 

@@ -53,13 +53,10 @@ def test_no_command_lists_the_commands(eldata: Cli) -> None:
 # --- wrong usage ----------------------------------------------------------------------------------------------
 
 
-def test_unknown_command(eldata: Cli) -> None:
-    assert_one_line(eldata("frobnicate"), "frobnicate", "verify", "evaluate", "--help")
-
-
 @in_one_test(
     "arguments, meant",
     [
+        (["frobnicate"], "there is no command 'frobnicate'; commands are"),
         (["verfy"], "did you mean verify? See eldata --help"),
         (["profile", "shwo"], "did you mean show? See eldata profile --help"),
         (["evaluate", "x", "--datset", "eld"], "there is no option --datset; did you mean --dataset? See"),

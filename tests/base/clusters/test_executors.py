@@ -44,7 +44,7 @@ def test_failing_units_do_not_lose_the_rest(executor: Executor) -> None:
     assert [(failure.unit, failure.reason) for failure in failed] == [
         (number, f"{number}.dng: is not whole") for number in (0, 3, 6, 9)
     ]
-    assert all(isinstance(failure.error, RawFileError) for failure in failed)
+    assert all(isinstance(failure.error, RawFileError) and failure.error.path for failure in failed), "with its fields"
     outcome = list(Workers(executor=executor).attempt(work.fail_in_the_program, [1, 2, 3]))[1]
     assert isinstance(outcome, Failed)
     assert outcome.reason.startswith("unexpected ZeroDivisionError")
@@ -124,11 +124,12 @@ def test_a_bounded_number_of_units_is_in_flight(workers: int | None, in_flight: 
 @pytest.mark.kill
 def test_a_broken_pool_of_the_callers_is_an_error_that_names_the_unit(importable: None) -> None:
     tasks = [work.Task(3, "three.dng"), *(work.Task(number) for number in range(4, 40))]
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        with pytest.raises(EldataError, match=r"^the executor cannot run the work on three\.dng: BrokenProcessPool"):
-            list(Workers(executor=pool).run(work.end_the_process, tasks))
-        with pytest.raises(EldataError, match=r"BrokenProcessPool"):
-            list(Workers(executor=pool).run(work.end_the_process, tasks))
+    message = r"^the executor cannot run the work on three\.dng: BrokenProcessPool"
+    with (
+        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
+        pytest.raises(EldataError, match=message),
+    ):
+        list(Workers(executor=pool).run(work.end_the_process, tasks))
 
 
 def test_work_that_cannot_travel(processes: Executor) -> None:

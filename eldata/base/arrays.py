@@ -20,7 +20,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.files import file_problem
+from eldata.base.files import file_problem, read_file
 from eldata.base.visible import in_line
 from eldata.errors import FileError, PredictionError
 
@@ -406,29 +406,23 @@ def read_png_header(path: Path) -> PngHeader:
     FileError
         If the file cannot be read, is not a PNG, or does not end like one: it is truncated.
     """
-    problem = file_problem(path)
-    if problem is not None:
-        raise FileError(path, problem)
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEADER_BYTES)
-            size = file.seek(0, os.SEEK_END)
-            file.seek(max(0, size - len(_END)))
-            tail = file.read()
-    except OSError as error:
-        raise FileError(path, f"cannot be read: {error.strerror}") from error
+    head, tail, size = read_file(_read_ends, path, FileError)
     if not head.startswith(_SIGNATURE) or len(head) < _HEADER_BYTES:
         raise FileError(path, "is not a PNG file")
     if tail != _END:
         raise FileError(path, f"does not end as a PNG does ({size} bytes): truncated? copy or download it again")
-    return _parse_png_header(head)
-
-
-def _parse_png_header(head: bytes) -> PngHeader:
     width, height, bit_depth, colour = struct.unpack_from(">IIBB", head, 16)
     name = _COLOURS.get(colour, f"colour type {colour}")
     shape = height, width, *_CHANNELS.get(name, (3,))
     return PngHeader(shape, "uint16" if bit_depth == 16 else "uint8", bit_depth, name)
+
+
+def _read_ends(path: Path) -> tuple[bytes, bytes, int]:
+    with path.open("rb") as file:
+        head = file.read(_HEADER_BYTES)
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - len(_END)))
+        return head, file.read(), size
 
 
 def decode_png(content: bytes) -> NDArray[Any]:

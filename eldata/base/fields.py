@@ -210,8 +210,8 @@ class TextFile:
     def _header(self, reader: Any, columns: Sequence[str]) -> list[str]:
         header: list[str] = next(reader, [])
         if header != [*columns]:
-            found = shown(",".join(header), longest=400)
-            raise self.problem(f"expected the columns {','.join(columns)}; found {found}", "line 1")
+            names = shown(",".join(header), longest=400)
+            raise self.problem(f"expected the columns {','.join(columns)}; found {names}", "line 1")
         return header
 
     def columns(self, columns: Sequence[str]) -> Iterator[list[tuple[str, ...]]]:
@@ -226,10 +226,10 @@ class TextFile:
         try:
             self._header(reader, columns)
             while rows := list(islice(reader, _ROWS_AT_ONCE)):
-                found = list(zip(*rows, strict=True))
-                if len(found) != len(columns):
+                turned = list(zip(*rows, strict=True))
+                if len(turned) != len(columns):
                     raise ValueError(columns)
-                yield [tuple(map(text_of_cell, cells)) for cells in found] if quoted else found
+                yield [tuple(map(text_of_cell, cells)) for cells in turned] if quoted else turned
         except csv.Error as error:
             raise ValueError(columns) from error
 
@@ -286,9 +286,9 @@ class Fields:
         """Make the error, to be raised, about a field."""
         return self.file.problem(reason, self._where(name))
 
-    def wrong(self, name: str, expected: str, found: object) -> EldataError:
+    def wrong(self, name: str, expected: str, value: object) -> EldataError:
         """Make the error, to be raised, about a field that holds something unexpected."""
-        return self.problem(name, f"expected {expected}, found {shown(found)}")
+        return self.problem(name, f"expected {expected}, found {shown(value)}")
 
     def _where(self, name: str) -> str:
         return f"field {self._full(name)}"
@@ -324,21 +324,24 @@ class Fields:
 
     def schema(self, number: int, program: str = "eldata", *, also: tuple[int, ...] = ()) -> int:
         """Return the schema number; refuse a file of another one than those known."""
-        found = self.data.get("schema", NOTHING)
+        value = self.data.get("schema", NOTHING)
         known = (number, *also)
-        if type(found) is not int or found not in known:
+        if type(value) is not int or value not in known:
             listed = " or ".join(map(str, known))
-            raise self.wrong("schema", f"{listed} (a newer file needs a newer {program})", found)
-        return found
+            raise self.wrong("schema", f"{listed} (a newer file needs a newer {program})", value)
+        return value
 
     # --- objects and lists --------------------------------------------------------------------------------------------
 
     def inside(self, name: str) -> Fields:
         """Return an object."""
-        found = self.data.get(name, NOTHING)
-        if not isinstance(found, dict):
-            raise self.wrong(name, "an object", found)
-        return Fields(self.file, found, self._full(name))
+        return Fields(self.file, self._of_type(name, dict, "an object"), self._full(name))
+
+    def _of_type(self, name: str, kind: type[Value], expected: str) -> Value:
+        value = self.data.get(name, NOTHING)
+        if not isinstance(value, kind):
+            raise self.wrong(name, expected, value)
+        return value
 
     def each(
         self,
@@ -367,10 +370,10 @@ class Fields:
         missing_ok
             Whether a missing list counts as empty.
         """
-        found = self.data.get(name, [] if missing_ok else NOTHING)
-        if not isinstance(found, list) or len(found) < fewest or (count is not None and len(found) != count):
-            raise self.wrong(name, expected, found)
-        inner = Fields(self.file, {f"{name}[{index}]": item for index, item in enumerate(found)}, self.place)
+        items = self.data.get(name, [] if missing_ok else NOTHING)
+        if not isinstance(items, list) or len(items) < fewest or (count is not None and len(items) != count):
+            raise self.wrong(name, expected, items)
+        inner = Fields(self.file, {f"{name}[{index}]": item for index, item in enumerate(items)}, self.place)
         values = tuple(read(inner, element, **options) for element in inner.data)
         if once:
             first = {value: at for at, value in reversed(list(enumerate(values)))}
@@ -391,28 +394,25 @@ class Fields:
 
     def text(self, name: str, *, empty: bool = False, unseen: bool = False) -> str:
         """Return a text; one that is blank only if ``empty``, with characters that do not show only if ``unseen``."""
-        found = self.data.get(name, NOTHING)
-        if not isinstance(found, str) or not (empty or found.strip()):
-            raise self.wrong(name, "a text", found)
-        if not unseen and has_unseen(found, lines=True):
-            raise self.wrong(name, "a text without control characters and others that do not show", found)
-        return found
+        text = self._of_type(name, str, "a text")
+        if not (empty or text.strip()):
+            raise self.wrong(name, "a text", text)
+        if not unseen and has_unseen(text, lines=True):
+            raise self.wrong(name, "a text without control characters and others that do not show", text)
+        return text
 
     def choice(self, name: str, known: Collection[Value]) -> Value:
         """Return a value that is one of those known."""
-        found = self.data.get(name, NOTHING)
-        for value in known:
-            if found == value and type(found) is type(value):
-                return value
+        value = self.data.get(name, NOTHING)
+        for choice in known:
+            if value == choice and type(value) is type(choice):
+                return choice
         listed = ", ".join(map(shown, known))
-        raise self.wrong(name, listed if len(known) == 1 else f"one of {listed}", found)
+        raise self.wrong(name, listed if len(known) == 1 else f"one of {listed}", value)
 
     def flag(self, name: str) -> bool:
         """Return true or false."""
-        found = self.data.get(name, NOTHING)
-        if not isinstance(found, bool):
-            raise self.wrong(name, "true or false", found)
-        return found
+        return self._of_type(name, bool, "true or false")
 
     def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
         """Return a whole number."""

@@ -52,16 +52,16 @@ def file_problem(path: Path) -> str | None:
     """
     head = b""
     try:
-        found = path.stat()
-        if stat.S_ISREG(found.st_mode):
+        status = path.stat()
+        if stat.S_ISREG(status.st_mode):
             with path.open("rb") as file:
                 head = file.read(_LONGEST_HEAD)
     except OSError as error:  # a loop of links, too
         return f"cannot be read: {error.strerror}"
     except ValueError:
         return "cannot be read: its name holds a NUL character"
-    if not stat.S_ISREG(found.st_mode):
-        return f"is {_describe_kind(found)}, not a file"
+    if not stat.S_ISREG(status.st_mode):
+        return f"is {_describe_kind(status)}, not a file"
     return _describe_stand_in(head) if head else "is empty (0 bytes): copy or download it again"
 
 
@@ -103,7 +103,7 @@ def visible_below(folder: Path, *, deep: bool = True) -> list[Path]:
     EldataError
         If a folder cannot be read.
     """
-    found: list[Path] = []
+    paths: list[Path] = []
     waiting = [folder] if folder.is_dir() else []
     while waiting:  # not recursive: folders may lie deeper than Python's stack
         place = waiting.pop()
@@ -112,9 +112,9 @@ def visible_below(folder: Path, *, deep: bool = True) -> list[Path]:
                 visible = [entry for entry in entries if not is_hidden(entry.name)]
         except OSError as error:
             raise EldataError(f"{place}: cannot be read: {error.strerror}") from error
-        found += [place / entry.name for entry in visible]
+        paths += [place / entry.name for entry in visible]
         waiting += [place / entry.name for entry in visible if deep and entry.is_dir(follow_symlinks=False)]
-    return sorted(found)
+    return sorted(paths)
 
 
 def read_file(work: Callable[[Path], Result], path: Path, error: type[FileError]) -> Result:
@@ -288,9 +288,9 @@ def _remove_if_dead(temporary: Path) -> None:
         flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
         descriptor = os.open(temporary, flags)
         try:
-            found = os.fstat(descriptor)
+            status = os.fstat(descriptor)
             # Its owner may have renamed it meanwhile, and another live process have made a new one of its name.
-            if stat.S_ISREG(found.st_mode) and try_lock(descriptor) and _is_at(temporary, found):
+            if stat.S_ISREG(status.st_mode) and try_lock(descriptor) and _is_at(temporary, status):
                 temporary.unlink()
         finally:
             os.close(descriptor)

@@ -102,14 +102,14 @@ def fraction_of(text: object, *, above: int | None = None, digits: int = 18) -> 
 
 @lru_cache(maxsize=4096)  # the rows of a table share most of their numbers
 def _fraction(text: str, digits: int) -> Fraction | None:
-    found = _FRACTION.fullmatch(text)
-    if found is None or max(len(part) for part in found.groups("")) > digits:
+    match = _FRACTION.fullmatch(text)
+    if match is None or max(len(part) for part in match.groups("")) > digits:
         return None
-    whole, tenths, divisor = found["whole"], found["tenths"] or "", int(found["divisor"] or 1)
+    whole, tenths, divisor = match["whole"], match["tenths"] or "", int(match["divisor"] or 1)
     return Fraction(int(whole + tenths), 10 ** len(tenths) * divisor) if divisor else None
 
 
-def whole_of(found: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE, text: bool = True) -> int:
+def whole_of(source: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE, text: bool = True) -> int:
     """Take a whole number: a text of decimal digits or, without ``text``, an int as JSON has it.
 
     Raises
@@ -118,13 +118,13 @@ def whole_of(found: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE, 
         If it is anything else or out of range; the message says what was expected and found.
     """
     if text:
-        value = int(found) if isinstance(found, str) and _WHOLE.fullmatch(found) else None
+        value = int(source) if isinstance(source, str) and _WHOLE.fullmatch(source) else None
     else:
-        value = found if isinstance(found, int) and not isinstance(found, bool) else None
-    return _checked(value, found, "a whole number", at_least=at_least, at_most=at_most)
+        value = source if isinstance(source, int) and not isinstance(source, bool) else None
+    return _checked(value, source, "a whole number", at_least=at_least, at_most=at_most)
 
 
-def number_of(found: object, *, at_least: float | None = None, above: float | None = None, text: bool = True) -> float:
+def number_of(source: object, *, at_least: float | None = None, above: float | None = None, text: bool = True) -> float:
     """Take a finite number: a text such as ``0.5`` or ``1e-05`` or, without ``text``, a number as JSON has it.
 
     Raises
@@ -134,14 +134,14 @@ def number_of(found: object, *, at_least: float | None = None, above: float | No
     """
     value: float | None = None
     if text:
-        value = float(found) if isinstance(found, str) and _DECIMAL.fullmatch(found) else None
-    elif isinstance(found, (int, float)) and not isinstance(found, bool):
-        value = found
+        value = float(source) if isinstance(source, str) and _DECIMAL.fullmatch(source) else None
+    elif isinstance(source, (int, float)) and not isinstance(source, bool):
+        value = source
     # Compared, not converted: Python has whole numbers that no float can hold.
     is_finite = value is not None and -_LARGEST_FLOAT <= value <= _LARGEST_FLOAT
     return _checked(
         float(value) if value is not None and is_finite else None,
-        found,
+        source,
         "a finite number",
         at_least=at_least,
         above=above,
@@ -150,7 +150,7 @@ def number_of(found: object, *, at_least: float | None = None, above: float | No
 
 def _checked(
     value: Number | None,
-    found: object,
+    source: object,
     kind: str,
     example: str = "",
     *,
@@ -172,7 +172,7 @@ def _checked(
         kind = f"{kind} from {at_least} to {at_most}"
     elif at_least is not None:
         kind = f"{kind} of {at_least} or more"
-    raise ArgumentError(f"expected {kind}{example}, found {shown(found)}")
+    raise ArgumentError(f"expected {kind}{example}, found {shown(source)}")
 
 
 # --- figures --------------------------------------------------------------------------------------------------------

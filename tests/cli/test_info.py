@@ -30,12 +30,6 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cwd" / "data" / "SID"
 
 
-def put(folder: Path, count: int) -> None:
-    for name in file_names()[:count]:
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(contents()[name])
-
-
 def test_the_table_has_every_shipped_dataset(eldata: Cli) -> None:
     outcome = eldata("info")
     assert (outcome.code, outcome.err) == (0, "")
@@ -75,7 +69,9 @@ def test_all_of_one_dataset(eldata: Cli, small: Path) -> None:
 
 
 def test_the_next_command_is_to_verify_what_is_there(eldata: Cli, small: Path) -> None:
-    put(small, 6)
+    for name, content in contents().items():
+        (small / name).parent.mkdir(parents=True, exist_ok=True)
+        (small / name).write_bytes(content)
     next_line = eldata("info", "small").out.splitlines()[-1]
     assert next_line.split()[:2] == ["eldata", "verify"]
     (small / file_names()[0]).unlink()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.noise.profile import CameraProfile, shipped_profiles
-from tests.cases import in_one_test
+from tests.cli.test_usage import assert_one_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,19 +47,9 @@ def test_list(profile: Profile) -> None:
     assert [item["profile"] for item in listed] == list(shipped_profiles())
 
 
-@in_one_test(
-    "line, words",
-    [
-        ("show Leica", "no camera profile is called 'Leica'"),
-        ("show absent.json", "absent.json: cannot be read"),
-    ],
-)
-def test_unusable_input_is_one_line_and_exit_code_2(profile: Profile, line: str, words: str) -> None:
-    done = profile(*line.split())
-    assert done.code == 2
-    assert words in done.err
-    assert done.err.count("\n") == 1
-    assert "unexpected" not in done.err
+def test_unusable_input_is_one_line_and_exit_code_2(profile: Profile) -> None:
+    assert_one_line(profile("show", "Leica"), "no camera profile is called 'Leica'")
+    assert_one_line(profile("show", "absent.json"), "absent.json: cannot be read")
 
 
 def test_import(profile: Profile) -> None:

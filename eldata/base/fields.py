@@ -20,7 +20,7 @@ import sys
 import tomllib
 from collections import Counter
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -102,7 +102,7 @@ class TextFile:
     name: Path | str
     error: type[EldataError]
     advice: str = ""
-    content: str | bytes | None = None
+    content: bytes | None = None
     largest_bytes: int = LARGEST_FILE_BYTES
 
     def problem(self, reason: str, place: str = "") -> EldataError:
@@ -120,16 +120,14 @@ class TextFile:
         EldataError
             The file's, if it cannot be read, is too large, or is not UTF-8.
         """
-        content = self.loaded().content
-        if isinstance(content, str):
-            return content
+        content = self.read()
         try:
-            return (content or b"").decode("utf-8-sig")
+            return content.decode("utf-8-sig")
         except UnicodeDecodeError as error:
             raise self.problem(f"is not {kind}: its byte {error.start} is not UTF-8") from error
 
-    def loaded(self) -> TextFile:
-        """Return the file with its content at hand, to be read more than once.
+    def read(self) -> bytes:
+        """Read the file's bytes.
 
         Raises
         ------
@@ -137,14 +135,14 @@ class TextFile:
             The file's, if it cannot be read or is too large.
         """
         if self.content is not None:
-            return self
+            return self.content
         path = Path(self.name)
         problem = file_problem(path)
         if problem is None and path.stat().st_size > self.largest_bytes:
             problem = f"expected at most {self.largest_bytes >> 20} MiB, found more; is it the right file?"
         if problem is not None:
             raise self.problem(problem)
-        return replace(self, content=path.read_bytes())
+        return path.read_bytes()
 
     def json(self) -> Fields:
         """Return the JSON object that the file is.
@@ -193,9 +191,7 @@ class TextFile:
         EldataError
             The file's, as :meth:`text` raises it; or if it is not CSV, has other columns, or a row of another length.
         """
-        file = self.loaded()
-        file.text("CSV")  # before the first row is judged
-        reader = _csv_reader(file.content)
+        reader = csv.reader(io.StringIO(self.text("CSV"), newline=""), strict=True)
         try:
             header = self._header(reader, columns)
             for cells in reader:
@@ -220,9 +216,9 @@ class TextFile:
         What is wrong with a row raises a ``ValueError`` that does not say where: read it by :meth:`rows` then, which
         does.
         """
-        file = self.loaded()
-        reader = _csv_reader(file.content)
-        quoted = _may_have_quoted_cells(file.content)
+        content = self.read()
+        lines = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline="")  # decoded as they are needed
+        reader, quoted = csv.reader(lines, strict=True), b"'" in content
         try:
             self._header(reader, columns)
             while rows := list(islice(reader, _ROWS_AT_ONCE)):
@@ -232,17 +228,6 @@ class TextFile:
                 yield [tuple(map(text_of_cell, cells)) for cells in turned] if quoted else turned
         except csv.Error as error:
             raise ValueError(columns) from error
-
-
-def _csv_reader(content: str | bytes | None) -> Any:
-    """Return a reader of rows; it decodes bytes as it comes to them, for there may be many."""
-    if isinstance(content, bytes):
-        return csv.reader(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline=""), strict=True)
-    return csv.reader(io.StringIO(content or "", newline=""), strict=True)
-
-
-def _may_have_quoted_cells(content: str | bytes | None) -> bool:
-    return ("'" in content) if isinstance(content, str) else b"'" in (content or b"")
 
 
 def _refuse_constant(name: str) -> float:

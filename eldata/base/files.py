@@ -50,18 +50,16 @@ def file_problem(path: Path) -> str | None:
     Ask before strangers' files are opened: a named pipe would be waited for, and a device read, for ever. A pointer or
     a web page that a download left instead of the file is named.
     """
-    head = b""
     try:
         status = path.stat()
-        if stat.S_ISREG(status.st_mode):
-            with path.open("rb") as file:
-                head = file.read(_LONGEST_HEAD)
+        if not stat.S_ISREG(status.st_mode):
+            return f"is {_describe_kind(status)}, not a file"
+        with path.open("rb") as file:
+            head = file.read(_LONGEST_HEAD)
     except OSError as error:  # a loop of links, too
         return f"cannot be read: {error.strerror}"
     except ValueError:
         return "cannot be read: its name holds a NUL character"
-    if not stat.S_ISREG(status.st_mode):
-        return f"is {_describe_kind(status)}, not a file"
     return _describe_stand_in(head) if head else "is empty (0 bytes): copy or download it again"
 
 

@@ -36,8 +36,8 @@ def fields(data: Any) -> Fields:
     return TextFile("a.json", ManifestError).fields(data)
 
 
-def parsed(text: str | bytes, error: type[EldataError] = ManifestError) -> Fields:
-    return TextFile("a.json", error, content=text).json()
+def parsed(text: str, error: type[EldataError] = ManifestError) -> Fields:
+    return TextFile("a.json", error, content=text.encode()).json()
 
 
 # --- numbers in text ----------------------------------------------------------------------------------------------
@@ -142,9 +142,9 @@ def test_toml(tmp_path: Path) -> None:
         ("a = " + "[" * 100_000, "is not TOML that can be read: it is nested too deeply"),
     ):
         with pytest.raises(ArgumentError) as caught:
-            TextFile("a.toml", ArgumentError, content=content).toml()
+            TextFile("a.toml", ArgumentError, content=content.encode()).toml()
         assert str(caught.value).startswith(f"a.toml: {reason}")
-    top = TextFile("a.toml", ManifestError, content="a = nan\nb = -inf\nc = 1979-05-27\nd = 0x" + "f" * 5000).toml()
+    top = TextFile("a.toml", ManifestError, content=b"a = nan\nb = -inf\nc = 1979-05-27\nd = 0x" + b"f" * 5000).toml()
     for name in "abcd":
         with pytest.raises(ManifestError, match=rf"field {name}: expected a finite number, found "):
             top.number(name)
@@ -266,7 +266,7 @@ def test_unknown_fields_are_refused_with_the_nearest_name() -> None:
 
 
 def table(text: str) -> TextFile:
-    return TextFile("a.csv", ManifestError, content=text)
+    return TextFile("a.csv", ManifestError, content=text.encode())
 
 
 def test_cells_are_parsed_from_text() -> None:

@@ -219,7 +219,6 @@ def test_a_bad_field_is_named_by_file_line_and_column(
             "expected the columns path,role,camera",
             1,
             [
-                lambda text: text[:0],
                 lambda text: text.split("\n", 1)[1],
                 lambda text: text.replace("exposure_s", "exposure"),
                 lambda text: text.replace("path,role", "role,path", 1),
@@ -345,16 +344,15 @@ def test_reading_by_columns_finds_what_reading_by_rows_finds(seed: int, monkeypa
     monkeypatch.setattr("eldata.base.fields._ROWS_AT_ONCE", 4)  # so that what is wrong is not always in the first ones
     for _ in range(500):
         content = spoilt(rng, many_rows(rng, rng.choice((1, 9, 40))))
-        for held in (content, content.encode("utf-8", "surrogatepass")):
-            file = TextFile("set.csv", ManifestError, content=held)
-            by_rows = outcome(_by_rows, file)
-            assert outcome(_parse, file) == by_rows
-            if isinstance(by_rows, list):
-                right += 1
-                by_columns = outcome(by_columns_alone, file)
-                assert by_columns == by_rows
-                assert [kinds_of(record) for record in by_columns] == [kinds_of(record) for record in by_rows]
-    assert 200 < right < 800
+        file = TextFile("set.csv", ManifestError, content=content.encode("utf-8", "surrogatepass"))
+        by_rows = outcome(_by_rows, file)
+        assert outcome(_parse, file) == by_rows
+        if isinstance(by_rows, list):
+            right += 1
+            by_columns = outcome(by_columns_alone, file)
+            assert by_columns == by_rows
+            assert [kinds_of(record) for record in by_columns] == [kinds_of(record) for record in by_rows]
+    assert 100 < right < 400
 
 
 def test_a_large_table_is_read_by_columns(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -212,14 +212,11 @@ TARGETS = {
     "new": ("new.csv", None),
     "old": ("scores.csv", None),
     "link-to-nothing": ("nothing", None),
-    "link-to-a-file": ("link", None),
     "longest-name": ("x" * 232, None),
     "no-folder": ("a/b/new.csv", "there is no folder"),
     "folder": ("folder", "is a folder, not a file"),
-    "itself": (".", "is a folder, not a file"),
     "file-as-folder": ("scores.csv/new.csv", "is not a folder"),
     "too-long-with-what-is-added": ("x" * 250, "File name too long"),
-    "too-long": ("x" * 300, "File name too long"),
     "nul": ("a\0b", "null byte"),
 }
 
@@ -229,8 +226,7 @@ def test_what_cannot_be_written_is_known_before_and_nothing_is_touched(kind: str
     """A problem is stated where writing fails, and only there."""
     folder = old.parent
     (folder / "folder").mkdir()
-    for name, target in (("nothing", "none"), ("link", old.name)):
-        (folder / name).symlink_to(target)
+    (folder / "nothing").symlink_to("none")
     before = sorted(folder.rglob("*"))
     name, expected = TARGETS[kind]
     problem = write_problem(folder / name)

@@ -20,7 +20,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.files import file_problem
+from eldata.base.files import file_problem, read_file
 from eldata.base.visible import in_line
 from eldata.errors import FileError, PredictionError
 
@@ -113,7 +113,22 @@ def _name_problems(path: Path, error: type[FileError], advice: str) -> Iterator[
 
 def _read_in_steps(path: Path, name: str) -> Generator[Any, None, None]:
     """Yield what the file's header declares, then the array."""
-    return _READERS.get(path.suffix.lower(), _read_tiff)(path, name)
+    suffix = path.suffix.lower()
+    for other, beginning, advice in _MISNAMED:
+        if suffix == other and _begins_with(path, beginning):
+            raise FileError(path, advice)
+    return _READERS.get(suffix, _read_tiff)(path, name)
+
+
+_MISNAMED = (
+    (".mat", b"\x89HDF", "is HDF5 without MATLAB's header: name it .h5"),
+    (".h5", b"MATLAB", "is a MATLAB file: name it .mat"),
+)
+
+
+def _begins_with(path: Path, beginning: bytes) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(beginning)) == beginning
 
 
 def _first_line(error: Exception) -> str:
@@ -203,64 +218,35 @@ def read_npy(file: IO[bytes], size: int, check: Callable[[Declared], None]) -> N
     return array
 
 
-class NpzArchive:
-    """An open .npz file.
-
-    Attributes
-    ----------
-    names
-        Of its members, in their order, without ``.npy``.
-    """
-
-    def __init__(self, archive: zipfile.ZipFile) -> None:
-        self._archive = archive
-        self._members = archive.infolist()
-        self.names = [member.filename.removesuffix(".npy") for member in self._members]
-
-    def read(self, name: str, check: Callable[[Declared], None]) -> NDArray[Any]:
-        """Read an array; ``check`` as of :func:`read_npy`.
-
-        Raises
-        ------
-        NpyError
-            If there is no such member, or it is damaged.
-        """
-        if name not in self.names:
-            raise NpyError(f"holds no array {name}")
-        member = self._members[self.names.index(name)]
-        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise NpyError(f"compressed by method {member.compress_type}; expected numpy's savez_compressed")
-        with _name_damage(), self._archive.open(member) as content:
-            array = read_npy(content, member.file_size, check)
-            content.read(1)  # at the end zipfile compares the checksum
-        return array
-
-
-@contextmanager
-def opened_npz(path: Path) -> Iterator[NpzArchive]:
-    """Open a .npz file.
+def read_npz(path: Path, name: str, check: Callable[[Declared], None]) -> NDArray[Any]:
+    """Read an array of a .npz file; ``check`` as of :func:`read_npy`.
 
     Raises
     ------
     NpyError
-        If it is not a whole archive.
+        If it is not a whole archive, there is no such member, or that is damaged.
     OSError
         If it cannot be read.
     """
     if not zipfile.is_zipfile(path):
         raise NpyError("is not a whole npz archive")
-    with _name_damage():
-        archive = zipfile.ZipFile(path)
-    with archive:
-        yield NpzArchive(archive)
-
-
-@contextmanager
-def _name_damage() -> Iterator[None]:
     try:
-        yield
+        with zipfile.ZipFile(path) as archive:
+            member = {_npz_name(member): member for member in archive.infolist()}.get(name)
+            if member is None:
+                raise NpyError(f"holds no array {name}")
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise NpyError(f"compressed by method {member.compress_type}; expected numpy's savez_compressed")
+            with archive.open(member) as content:
+                array = read_npy(content, member.file_size, check)
+                content.read(1)  # at the end zipfile compares the checksum
     except _DAMAGE as error:
         raise NpyError(_first_line(error)) from error
+    return array
+
+
+def _npz_name(member: zipfile.ZipInfo) -> str:
+    return member.filename.removesuffix(".npy")
 
 
 def _read_npy(path: Path, name: str) -> Generator[Any, None, None]:
@@ -273,11 +259,11 @@ def _read_npy(path: Path, name: str) -> Generator[Any, None, None]:
 
 def _read_npz(path: Path, name: str) -> Generator[Any, None, None]:
     with zipfile.ZipFile(path) as archive:
-        npz = NpzArchive(archive)
-        chosen = _choose(npz.names, name)
-        with archive.open(archive.infolist()[npz.names.index(chosen)]) as content:
+        members = archive.infolist()
+        chosen = _choose([_npz_name(member) for member in members], name)
+        with archive.open(next(member for member in members if _npz_name(member) == chosen)) as content:
             yield read_npy_header(content)
-        yield npz.read(chosen, _accept)
+    yield read_npz(path, chosen, _accept)
 
 
 def _accept(_: Declared) -> None:
@@ -420,29 +406,23 @@ def read_png_header(path: Path) -> PngHeader:
     FileError
         If the file cannot be read, is not a PNG, or does not end like one: it is truncated.
     """
-    problem = file_problem(path)
-    if problem is not None:
-        raise FileError(path, problem)
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEADER_BYTES)
-            size = file.seek(0, os.SEEK_END)
-            file.seek(max(0, size - len(_END)))
-            tail = file.read()
-    except OSError as error:
-        raise FileError(path, f"cannot be read: {error.strerror}") from error
+    head, tail, size = read_file(_read_ends, path, FileError)
     if not head.startswith(_SIGNATURE) or len(head) < _HEADER_BYTES:
         raise FileError(path, "is not a PNG file")
     if tail != _END:
         raise FileError(path, f"does not end as a PNG does ({size} bytes): truncated? copy or download it again")
-    return _parse_png_header(head)
-
-
-def _parse_png_header(head: bytes) -> PngHeader:
     width, height, bit_depth, colour = struct.unpack_from(">IIBB", head, 16)
     name = _COLOURS.get(colour, f"colour type {colour}")
     shape = height, width, *_CHANNELS.get(name, (3,))
     return PngHeader(shape, "uint16" if bit_depth == 16 else "uint8", bit_depth, name)
+
+
+def _read_ends(path: Path) -> tuple[bytes, bytes, int]:
+    with path.open("rb") as file:
+        head = file.read(_HEADER_BYTES)
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - len(_END)))
+        return head, file.read(), size
 
 
 def decode_png(content: bytes) -> NDArray[Any]:
@@ -501,13 +481,6 @@ def read_rgb16(path: Path) -> NDArray[np.uint16]:
     except (OSError, RuntimeError, ValueError) as error:  # imagecodecs' errors are RuntimeErrors
         raise FileError(path, f"cannot be decoded ({in_line(str(error))}); copy or download it again") from error
     return array
-
-
-def rgb_frame(path: Path) -> NDArray[np.float32]:
-    """Read a 16-bit RGB PNG as a frame, (3, h, w) float32: its samples / 65535. Raises like :func:`read_rgb16`."""
-    samples = read_rgb16(path).transpose(2, 0, 1)
-    pixels = np.empty(samples.shape, np.float32)
-    return np.divide(samples, np.float32(65535), out=pixels, dtype=np.float32)
 
 
 _READERS: dict[str, Callable[[Path, str], Generator[Any, None, None]]] = {

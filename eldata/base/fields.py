@@ -16,23 +16,19 @@ import csv
 import gc
 import io
 import json
-import os
 import sys
 import tomllib
 from collections import Counter
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
-from eldata.base.numbers import (
-    LARGEST_WHOLE,
-    fraction_of,
-    number_of,
-    whole_of,
-)
+from eldata.base.files import file_problem
+from eldata.base.numbers import LARGEST_WHOLE, fraction_of, number_of, whole_of
 from eldata.base.tables import text_of_cell
 from eldata.base.visible import NOTHING, has_unseen, in_line, named_field, shown
 from eldata.errors import ArgumentError, EldataError, FileError, nearest
@@ -106,7 +102,7 @@ class TextFile:
     name: Path | str
     error: type[EldataError]
     advice: str = ""
-    content: str | bytes | None = None
+    content: bytes | None = None
     largest_bytes: int = LARGEST_FILE_BYTES
 
     def problem(self, reason: str, place: str = "") -> EldataError:
@@ -124,36 +120,29 @@ class TextFile:
         EldataError
             The file's, if it cannot be read, is too large, or is not UTF-8.
         """
-        content = self.loaded().content
-        if isinstance(content, str):
-            return content
+        content = self.read()
         try:
-            return (content or b"").decode("utf-8-sig")
+            return content.decode("utf-8-sig")
         except UnicodeDecodeError as error:
             raise self.problem(f"is not {kind}: its byte {error.start} is not UTF-8") from error
 
-    def loaded(self) -> TextFile:
-        """Return the file with its content at hand, to be read more than once.
+    def read(self) -> bytes:
+        """Read the file's bytes.
 
         Raises
         ------
         EldataError
             The file's, if it cannot be read or is too large.
         """
-        return self if self.content is not None else replace(self, content=self._read())
-
-    def _read(self) -> bytes:
-        try:
-            with Path(self.name).open("rb") as file:
-                size = os.fstat(file.fileno()).st_size or self.largest_bytes  # pipes and devices state none
-                content = file.read(min(size, self.largest_bytes) + 1)
-        except OSError as error:
-            raise self.problem(f"cannot be read: {error.strerror or error}") from error
-        except ValueError as error:
-            raise self.problem(f"cannot be read: {error}") from error  # NUL in its name
-        if len(content) > self.largest_bytes:
-            raise self.problem(f"expected at most {self.largest_bytes >> 20} MiB, found more; is it the right file?")
-        return content
+        if self.content is not None:
+            return self.content
+        path = Path(self.name)
+        problem = file_problem(path)
+        if problem is None and path.stat().st_size > self.largest_bytes:
+            problem = f"expected at most {self.largest_bytes >> 20} MiB, found more; is it the right file?"
+        if problem is not None:
+            raise self.problem(problem)
+        return path.read_bytes()
 
     def json(self) -> Fields:
         """Return the JSON object that the file is.
@@ -164,16 +153,7 @@ class TextFile:
             The file's, as :meth:`text` raises it; or if it is not complete JSON, uses a name twice or a constant that
             JSON does not have, is nested too deeply, or is not an object.
         """
-        text = self.text("JSON")
-        try:
-            data = json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
-        except json.JSONDecodeError as error:
-            raise self.problem(f"is not JSON, or not whole ({error.msg} in line {error.lineno})") from error
-        except RecursionError:
-            raise self.problem("is not JSON that can be read: it is nested too deeply") from None
-        except ValueError as error:
-            raise self.problem(f"is not JSON that can be read: {error}") from error
-        return self.fields(data)
+        return self._parse("JSON", partial(json.loads, object_pairs_hook=_once, parse_constant=_refuse_constant))
 
     def toml(self) -> Fields:
         """Return the TOML file's content.
@@ -183,13 +163,18 @@ class TextFile:
         EldataError
             The file's, as :meth:`text` raises it; or if it is not TOML, or is nested too deeply.
         """
-        text = self.text("TOML")
+        return self._parse("TOML", tomllib.loads)
+
+    def _parse(self, kind: str, parse: Callable[[str], object]) -> Fields:
+        text = self.text(kind)
         try:
-            data = tomllib.loads(text)
+            data = parse(text)
+        except json.JSONDecodeError as error:
+            raise self.problem(f"is not JSON, or not whole ({error.msg} in line {error.lineno})") from error
         except RecursionError:
-            raise self.problem("is not TOML that can be read: it is nested too deeply") from None
+            raise self.problem(f"is not {kind} that can be read: it is nested too deeply") from None
         except ValueError as error:  # also of a number of too many digits
-            raise self.problem(f"is not TOML ({error})") from error
+            raise self.problem(f"is not {kind} that can be read: {error}") from error
         return self.fields(data)
 
     def fields(self, data: object) -> Fields:
@@ -212,14 +197,15 @@ class TextFile:
         EldataError
             The file's, as :meth:`text` raises it; or if it is not CSV, has other columns, or a row of another length.
         """
-        file = self.loaded()
-        reader = _csv_reader(file.content)
-        quoted = _may_have_quoted_cells(file.content)
+        content = self.read()
+        # Decoded as it is needed: there may be many rows.
+        reader = csv.reader(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline=""), strict=True)
+        quoted = b"'" in content
         try:
             header: list[str] = next(reader, [])
             if header != [*columns]:
-                found = shown(",".join(header), longest=400)
-                raise self.problem(f"expected the columns {','.join(columns)}; found {found}", "line 1")
+                names = shown(",".join(header), longest=400)
+                raise self.problem(f"expected the columns {','.join(columns)}; found {names}", "line 1")
             while rows := [(reader.line_num, *cells) for cells in islice(reader, _ROWS_AT_ONCE)]:
                 for line, *cells in rows if {*map(len, rows)} != {len(columns) + 1} else ():
                     if len(cells) != len(columns):
@@ -228,21 +214,10 @@ class TextFile:
                 lines, *texts = zip(*rows, strict=True)
                 yield lines, [tuple(map(text_of_cell, cells)) for cells in texts] if quoted else texts
         except UnicodeDecodeError:
-            file.text("CSV")  # says where
+            self.text("CSV")  # says where
             raise
         except csv.Error as error:
             raise self.problem(f"is not CSV ({error})", f"line {reader.line_num}") from error
-
-
-def _csv_reader(content: str | bytes | None) -> Any:
-    """Return a reader of rows; it decodes bytes as it comes to them, for there may be many."""
-    if isinstance(content, bytes):
-        return csv.reader(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline=""), strict=True)
-    return csv.reader(io.StringIO(content or "", newline=""), strict=True)
-
-
-def _may_have_quoted_cells(content: str | bytes | None) -> bool:
-    return ("'" in content) if isinstance(content, str) else b"'" in (content or b"")
 
 
 def _refuse_constant(name: str) -> float:
@@ -286,9 +261,9 @@ class Fields:
         """Make the error, to be raised, about a field."""
         return self.file.problem(reason, self._where(name))
 
-    def wrong(self, name: str, expected: str, found: object) -> EldataError:
+    def wrong(self, name: str, expected: str, value: object) -> EldataError:
         """Make the error, to be raised, about a field that holds something unexpected."""
-        return self.problem(name, f"expected {expected}, found {shown(found)}")
+        return self.problem(name, f"expected {expected}, found {shown(value)}")
 
     def _where(self, name: str) -> str:
         return f"field {self._full(name)}"
@@ -324,21 +299,24 @@ class Fields:
 
     def schema(self, number: int, program: str = "eldata", *, also: tuple[int, ...] = ()) -> int:
         """Return the schema number; refuse a file of another one than those known."""
-        found = self.data.get("schema", NOTHING)
+        value = self.data.get("schema", NOTHING)
         known = (number, *also)
-        if type(found) is not int or found not in known:
+        if type(value) is not int or value not in known:
             listed = " or ".join(map(str, known))
-            raise self.wrong("schema", f"{listed} (a newer file needs a newer {program})", found)
-        return found
+            raise self.wrong("schema", f"{listed} (a newer file needs a newer {program})", value)
+        return value
 
     # --- objects and lists --------------------------------------------------------------------------------------------
 
     def inside(self, name: str) -> Fields:
         """Return an object."""
-        found = self.data.get(name, NOTHING)
-        if not isinstance(found, dict):
-            raise self.wrong(name, "an object", found)
-        return Fields(self.file, found, self._full(name))
+        return Fields(self.file, self._of_type(name, dict, "an object"), self._full(name))
+
+    def _of_type(self, name: str, kind: type[Value], expected: str) -> Value:
+        value = self.data.get(name, NOTHING)
+        if not isinstance(value, kind):
+            raise self.wrong(name, expected, value)
+        return value
 
     def each(
         self,
@@ -367,10 +345,10 @@ class Fields:
         missing_ok
             Whether a missing list counts as empty.
         """
-        found = self.data.get(name, [] if missing_ok else NOTHING)
-        if not isinstance(found, list) or len(found) < fewest or (count is not None and len(found) != count):
-            raise self.wrong(name, expected, found)
-        inner = Fields(self.file, {f"{name}[{index}]": item for index, item in enumerate(found)}, self.place)
+        items = self.data.get(name, [] if missing_ok else NOTHING)
+        if not isinstance(items, list) or len(items) < fewest or (count is not None and len(items) != count):
+            raise self.wrong(name, expected, items)
+        inner = Fields(self.file, {f"{name}[{index}]": item for index, item in enumerate(items)}, self.place)
         values = tuple(read(inner, element, **options) for element in inner.data)
         if once:
             first = {value: at for at, value in reversed(list(enumerate(values)))}
@@ -391,28 +369,25 @@ class Fields:
 
     def text(self, name: str, *, empty: bool = False, unseen: bool = False) -> str:
         """Return a text; one that is blank only if ``empty``, with characters that do not show only if ``unseen``."""
-        found = self.data.get(name, NOTHING)
-        if not isinstance(found, str) or not (empty or found.strip()):
-            raise self.wrong(name, "a text", found)
-        if not unseen and has_unseen(found, lines=True):
-            raise self.wrong(name, "a text without control characters and others that do not show", found)
-        return found
+        text = self._of_type(name, str, "a text")
+        if not (empty or text.strip()):
+            raise self.wrong(name, "a text", text)
+        if not unseen and has_unseen(text, lines=True):
+            raise self.wrong(name, "a text without control characters and others that do not show", text)
+        return text
 
     def choice(self, name: str, known: Collection[Value]) -> Value:
         """Return a value that is one of those known."""
-        found = self.data.get(name, NOTHING)
-        for value in known:
-            if found == value and type(found) is type(value):
-                return value
+        value = self.data.get(name, NOTHING)
+        for choice in known:
+            if value == choice and type(value) is type(choice):
+                return choice
         listed = ", ".join(map(shown, known))
-        raise self.wrong(name, listed if len(known) == 1 else f"one of {listed}", found)
+        raise self.wrong(name, listed if len(known) == 1 else f"one of {listed}", value)
 
     def flag(self, name: str) -> bool:
         """Return true or false."""
-        found = self.data.get(name, NOTHING)
-        if not isinstance(found, bool):
-            raise self.wrong(name, "true or false", found)
-        return found
+        return self._of_type(name, bool, "true or false")
 
     def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
         """Return a whole number."""

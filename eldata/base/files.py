@@ -44,38 +44,27 @@ def sha256_of(path: Path) -> str:
         return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
 
 
-_SPECIAL = {
-    stat.S_IFDIR: "a folder",
-    stat.S_IFIFO: "a named pipe",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-    stat.S_IFSOCK: "a socket",
-}
-
-
 def file_problem(path: Path) -> str | None:
     """Describe why a path is not a readable file with something in it, links followed; ``None`` if it is.
 
     Ask before strangers' files are opened: a named pipe would be waited for, and a device read, for ever. A pointer or
     a web page that a download left instead of the file is named.
     """
-    head = b""
     try:
-        found = path.stat()
-        if stat.S_ISREG(found.st_mode):
-            with path.open("rb") as file:
-                head = file.read(_LONGEST_HEAD)
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            return f"is {_describe_kind(status)}, not a file"
+        with path.open("rb") as file:
+            head = file.read(_LONGEST_HEAD)
     except OSError as error:  # a loop of links, too
         return f"cannot be read: {error.strerror}"
     except ValueError:
         return "cannot be read: its name holds a NUL character"
-    if not stat.S_ISREG(found.st_mode):
-        return f"is {_describe_kind(found)}, not a file"
     return _describe_stand_in(head) if head else "is empty (0 bytes): copy or download it again"
 
 
 def _describe_kind(status: os.stat_result) -> str:
-    return _SPECIAL.get(stat.S_IFMT(status.st_mode), "something else")
+    return "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe, device or socket"
 
 
 _LONGEST_HEAD = 256
@@ -112,7 +101,7 @@ def visible_below(folder: Path, *, deep: bool = True) -> list[Path]:
     EldataError
         If a folder cannot be read.
     """
-    found: list[Path] = []
+    paths: list[Path] = []
     waiting = [folder] if folder.is_dir() else []
     while waiting:  # not recursive: folders may lie deeper than Python's stack
         place = waiting.pop()
@@ -121,9 +110,9 @@ def visible_below(folder: Path, *, deep: bool = True) -> list[Path]:
                 visible = [entry for entry in entries if not is_hidden(entry.name)]
         except OSError as error:
             raise EldataError(f"{place}: cannot be read: {error.strerror}") from error
-        found += [place / entry.name for entry in visible]
+        paths += [place / entry.name for entry in visible]
         waiting += [place / entry.name for entry in visible if deep and entry.is_dir(follow_symlinks=False)]
-    return sorted(found)
+    return sorted(paths)
 
 
 def read_file(work: Callable[[Path], Result], path: Path, error: type[FileError]) -> Result:
@@ -297,9 +286,9 @@ def _remove_if_dead(temporary: Path) -> None:
         flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
         descriptor = os.open(temporary, flags)
         try:
-            found = os.fstat(descriptor)
+            status = os.fstat(descriptor)
             # Its owner may have renamed it meanwhile, and another live process have made a new one of its name.
-            if stat.S_ISREG(found.st_mode) and try_lock(descriptor) and _is_at(temporary, found):
+            if stat.S_ISREG(status.st_mode) and try_lock(descriptor) and _is_at(temporary, status):
                 temporary.unlink()
         finally:
             os.close(descriptor)

@@ -13,14 +13,11 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from operator import index
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 from eldata.base.tables import with_error
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 Number = TypeVar("Number", int, float, Fraction)
 
@@ -105,14 +102,14 @@ def fraction_of(text: object, *, above: int | None = None, digits: int = 18) -> 
 
 @lru_cache(maxsize=4096)  # the rows of a table share most of their numbers
 def _fraction(text: str, digits: int) -> Fraction | None:
-    found = _FRACTION.fullmatch(text)
-    if found is None or max(len(part) for part in found.groups("")) > digits:
+    match = _FRACTION.fullmatch(text)
+    if match is None or max(len(part) for part in match.groups("")) > digits:
         return None
-    whole, tenths, divisor = found["whole"], found["tenths"] or "", int(found["divisor"] or 1)
+    whole, tenths, divisor = match["whole"], match["tenths"] or "", int(match["divisor"] or 1)
     return Fraction(int(whole + tenths), 10 ** len(tenths) * divisor) if divisor else None
 
 
-def whole_of(found: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE, text: bool = True) -> int:
+def whole_of(source: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE, text: bool = True) -> int:
     """Take a whole number: a text of decimal digits or, without ``text``, an int as JSON has it.
 
     Raises
@@ -121,13 +118,13 @@ def whole_of(found: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE, 
         If it is anything else or out of range; the message says what was expected and found.
     """
     if text:
-        value = int(found) if isinstance(found, str) and _WHOLE.fullmatch(found) else None
+        value = int(source) if isinstance(source, str) and _WHOLE.fullmatch(source) else None
     else:
-        value = found if isinstance(found, int) and not isinstance(found, bool) else None
-    return _checked(value, found, "a whole number", at_least=at_least, at_most=at_most)
+        value = source if isinstance(source, int) and not isinstance(source, bool) else None
+    return _checked(value, source, "a whole number", at_least=at_least, at_most=at_most)
 
 
-def number_of(found: object, *, at_least: float | None = None, above: float | None = None, text: bool = True) -> float:
+def number_of(source: object, *, at_least: float | None = None, above: float | None = None, text: bool = True) -> float:
     """Take a finite number: a text such as ``0.5`` or ``1e-05`` or, without ``text``, a number as JSON has it.
 
     Raises
@@ -137,14 +134,14 @@ def number_of(found: object, *, at_least: float | None = None, above: float | No
     """
     value: float | None = None
     if text:
-        value = float(found) if isinstance(found, str) and _DECIMAL.fullmatch(found) else None
-    elif isinstance(found, (int, float)) and not isinstance(found, bool):
-        value = found
+        value = float(source) if isinstance(source, str) and _DECIMAL.fullmatch(source) else None
+    elif isinstance(source, (int, float)) and not isinstance(source, bool):
+        value = source
     # Compared, not converted: Python has whole numbers that no float can hold.
     is_finite = value is not None and -_LARGEST_FLOAT <= value <= _LARGEST_FLOAT
     return _checked(
         float(value) if value is not None and is_finite else None,
-        found,
+        source,
         "a finite number",
         at_least=at_least,
         above=above,
@@ -153,7 +150,7 @@ def number_of(found: object, *, at_least: float | None = None, above: float | No
 
 def _checked(
     value: Number | None,
-    found: object,
+    source: object,
     kind: str,
     example: str = "",
     *,
@@ -175,7 +172,7 @@ def _checked(
         kind = f"{kind} from {at_least} to {at_most}"
     elif at_least is not None:
         kind = f"{kind} of {at_least} or more"
-    raise ArgumentError(f"expected {kind}{example}, found {shown(found)}")
+    raise ArgumentError(f"expected {kind}{example}, found {shown(source)}")
 
 
 # --- figures --------------------------------------------------------------------------------------------------------
@@ -205,12 +202,10 @@ class Figure:
         In plain letters, such as ``dB`` or ``DN/e-``; empty: it has none.
     decimals
         Of a mean in a table; ``None``: as many as its standard error warrants.
-    difference_decimals, single_decimals
+    fine_decimals
         Of a difference of two, and of one value among many. Default: ``decimals``.
     better
         Which of two values is the better one.
-    needs
-        What it is computed from, in words, such as ``flat-field frames``.
     computed_by
         The function that does it, ``module:name``, so that a declaration imports nothing; empty: it is not told.
     """
@@ -220,16 +215,13 @@ class Figure:
     meaning: str
     unit: str = ""
     decimals: int | None = None
-    difference_decimals: int | None = None
-    single_decimals: int | None = None
+    fine_decimals: int | None = None
     better: Better = "neither"
-    needs: tuple[str, ...] = ()
     computed_by: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("difference_decimals", "single_decimals"):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, self.decimals)
+        if self.fine_decimals is None:
+            object.__setattr__(self, "fine_decimals", self.decimals)
 
     @property
     def heading(self) -> str:
@@ -255,11 +247,11 @@ class Figure:
 
     def format_single(self, value: float | None) -> str:
         """Return one value among many, such as one image's, as :meth:`format` does a mean."""
-        return self._written(value, self.single_decimals)
+        return self._written(value, self.fine_decimals)
 
     def format_difference(self, value: float | None) -> str:
         """Return a difference of two values with its sign."""
-        decimals = self.difference_decimals
+        decimals = self.fine_decimals
         if value is None or math.isnan(value) or decimals is None:
             return self._written(value, decimals)
         return f"{value:+.{decimals}f}"
@@ -270,22 +262,3 @@ class Figure:
         if math.isnan(value):
             return NOT_KNOWN
         return with_error(value, error) if decimals is None else f"{value:.{decimals}f}"
-
-
-AnyFigure = TypeVar("AnyFigure", bound=Figure)
-
-
-def by_name(figures: Iterable[AnyFigure]) -> dict[str, AnyFigure]:
-    """Return a room's registry: its figures by their names, in their order.
-
-    Raises
-    ------
-    ValueError
-        If two have one name.
-    """
-    registry: dict[str, AnyFigure] = {}
-    for figure in figures:
-        if figure.name in registry:
-            raise ValueError(f"two figures are called {figure.name}")
-        registry[figure.name] = figure
-    return registry

@@ -34,8 +34,8 @@ def in_line(text: str) -> str:
     return _IN_LINE.sub(_number, text)
 
 
-def _number(found: re.Match[str]) -> str:
-    character = found[0]
+def _number(match: re.Match[str]) -> str:
+    character = match[0]
     code = ord(character)
     return _SHORT.get(character) or (f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}")
 
@@ -48,14 +48,14 @@ _REPR: Final = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxlist, _REPR.maxdict = 2, 6, 4
 
 
-def shown(found: object, longest: int = _LONGEST_SHOWN) -> str:
+def shown(value: object, longest: int = _LONGEST_SHOWN) -> str:
     """Return a value as a message shows it: on one line, and short."""
-    if found is NOTHING:
+    if value is NOTHING:
         return "nothing"
-    if found is None or isinstance(found, bool):
-        return json.dumps(found)
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
     try:
-        text = repr(found[:longest]) if isinstance(found, str) else _REPR.repr(found)
+        text = repr(value[:longest]) if isinstance(value, str) else _REPR.repr(value)
     except ValueError:  # Python refuses to write out the largest whole numbers
         return "a number of thousands of digits"
     return text if len(text) <= longest else f"{text[: longest - 3]}..."

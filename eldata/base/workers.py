@@ -56,6 +56,13 @@ _MOST_LARGE = 16  # large results in flight, however many the workers: they are 
 _MOST_PROCESSES = 61  # of a pool on Windows, which cannot wait for more
 _GRACE_S = 5.0  # for work that is ended in its middle to unwind
 _TERMINATED = 128 + signal.SIGTERM
+_DIED_AGAIN = (
+    "worker processes died at it again and again, in the end with it alone: a decoder that crashes, or lack of memory? "
+    "Try fewer --jobs"
+)
+_NOT_RUN = (
+    "was it shut down, did a worker die (lack of memory?), and is the same version of eldata installed on every worker?"
+)
 _AT_WORK = threading.Event()  # of a worker process of our own
 
 
@@ -321,9 +328,14 @@ def _in_order(
                 future = _submit(executor, work, unit)
                 waiting[0] = unit, future
                 error = _error_of(future)
-            if error is not None and not _is_loss(executor, error):
-                raise _describe_unrunnable(unit, error) from error
-            outcome = Failed(unit, _describe_loss(unit)) if error else future.result().pop()
+            name = getattr(unit, "path", unit)
+            if error is None:
+                outcome = future.result().pop()
+            elif _is_loss(executor, error):
+                outcome = Failed(unit, EldataError(f"{name}: {_DIED_AGAIN}"))
+            else:
+                reason = f"the executor cannot run the work on {name}: {type(error).__name__}: {error}"
+                raise EldataError(f"{reason}; {_NOT_RUN}") from error
             waiting.popleft()
             del future  # and with it the result, which may be large
             yield outcome
@@ -347,21 +359,6 @@ def _is_loss(executor: Executor, error: BaseException | None) -> bool:
     # Dask runs a lost worker's units again by itself; this is its error for one that lost several workers. It blames
     # every unit on the worker, the innocent ones too.
     return type(error).__name__ == "KilledWorker"
-
-
-def _describe_loss(unit: object) -> EldataError:
-    return EldataError(
-        f"{getattr(unit, 'path', unit)}: worker processes died at it again and again, in the end with it "
-        "alone: a decoder that crashes, or lack of memory? Try fewer --jobs"
-    )
-
-
-def _describe_unrunnable(unit: object, error: BaseException) -> EldataError:
-    """Describe what failed if not the unit's work failed, but the attempt to run it."""
-    return EldataError(
-        f"the executor cannot run the work on {getattr(unit, 'path', unit)}: {type(error).__name__}: {error}; was it "
-        "shut down, did a worker die (lack of memory?), and is the same version of eldata installed on every worker?"
-    )
 
 
 # --- processes of our own ---------------------------------------------------------------------------------------------

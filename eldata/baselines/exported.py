@@ -111,6 +111,7 @@ def load_exported(path: Path) -> tuple[Any, TakenInput]:
 
 
 def _taken(path: Path, content: str | bytes) -> TakenInput:
+    content = content.encode() if isinstance(content, str) else content
     record = TextFile(f"{path}, {_RECORD}", EldataError, "export it again with save_network", content).json()
     record.schema(_SCHEMA)
     record.only(("schema", *names_of(TakenInput)))

@@ -169,8 +169,7 @@ def stated_figure(stated: Mapping[str, Any]) -> Figure:
         label=stated["label"],
         meaning=f"the value of {stated['callable']}",
         decimals=3,
-        difference_decimals=4,
-        single_decimals=4,
+        fine_decimals=4,
         better="higher" if stated["higher_is_better"] else "lower",
         computed_by=stated["callable"],
     )

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import re
 from array import array
+from dataclasses import replace
 from fractions import Fraction
 from functools import lru_cache
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, get_args
 
 from eldata.base.fields import TextFile, names_of, no_search_for_cycles
-from eldata.base.files import path_problem, write_text
+from eldata.base.files import encoded, path_problem, write_text
 from eldata.base.numbers import fraction_of, whole_of
 from eldata.base.tables import csv_text
 from eldata.base.visible import shown
@@ -58,9 +59,9 @@ def load_table(path: Path, content: bytes | None = None) -> tuple[tuple[FrameRec
 
     They are read from ``content``, if that is given.
     """
-    file = TextFile(path, ManifestError, content=content, largest_bytes=_LARGEST_BYTES).loaded()
-    content = file.content if isinstance(file.content, bytes) else b""
-    return _parse(file), f"sha256:{hashlib.sha256(content).hexdigest()}"
+    file = TextFile(path, ManifestError, content=content, largest_bytes=_LARGEST_BYTES)
+    content = file.read()
+    return _parse(replace(file, content=content)), f"sha256:{hashlib.sha256(content).hexdigest()}"
 
 
 def _parse(file: TextFile) -> tuple[FrameRecord, ...]:
@@ -129,7 +130,7 @@ def table_text(path: Path, records: Iterable[FrameRecord]) -> str:
     """
     ordered = tuple(sorted(records, key=attrgetter("path")))
     text = csv_text(COLUMNS, ([cell_text(getattr(record, column)) for column in COLUMNS] for record in ordered))
-    for record, read_back in zip(ordered, _parse(TextFile(path, ManifestError, content=text)), strict=True):
+    for record, read_back in zip(ordered, _parse(TextFile(path, ManifestError, content=encoded(text))), strict=True):
         if record != read_back:
             raise ManifestError(f"{path}, row {record.path!r}: cannot be written as text and read back the same")
     return text

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final, Literal
 
-from eldata.base.numbers import Figure, by_name
+from eldata.base.numbers import Figure
 
 Rescaling = Literal["none", "scalar"]
 RescalingMask = Literal["unsaturated", "all"]
@@ -17,8 +17,9 @@ Rounding = Literal["none", "8-bit", "8-bit-truncated"]
 SsimWindow = Literal["uniform-7", "gaussian-11", "gaussian-11-volume"]
 Covariance = Literal["sample", "population"]
 
-OF_FRAMES: Final = by_name(
-    (
+OF_FRAMES: Final = {
+    figure.name: figure
+    for figure in (
         Figure(
             name="psnr_db",
             label="PSNR",
@@ -26,7 +27,6 @@ OF_FRAMES: Final = by_name(
             meaning="peak signal-to-noise ratio over all channels together; infinite of equal images",
             decimals=2,
             better="higher",
-            needs=("a prediction", "its reference"),
             computed_by="eldata.metrics.image_score:psnr",
         ),
         Figure(
@@ -34,14 +34,12 @@ OF_FRAMES: Final = by_name(
             label="SSIM",
             meaning="mean structural similarity",
             decimals=3,
-            difference_decimals=4,  # differences of SSIM are small
-            single_decimals=4,
+            fine_decimals=4,  # differences of SSIM are small
             better="higher",
-            needs=("a prediction", "its reference"),
             computed_by="eldata.metrics.similarity:ssim",
         ),
     )
-)
+}
 """Of a prediction and its reference, (C, h, w) as the protocol compares them; of clips the mean over frames.
 
 PSNR and SSIM are found in one pass (:func:`eldata.metrics.score_by`), each other one by ``computed_by``, a function of
@@ -54,17 +52,17 @@ ST_RRED: Final = Figure(
     meaning="how much spatial and temporal information of a clip is lost or added",
     decimals=3,
     better="lower",
-    needs=("a clip's predictions", "its references"),
     computed_by="eldata.metrics.st_rred:st_rred",
 )
 
-OF_CLIPS: Final = by_name(
-    (
+OF_CLIPS: Final = {
+    figure.name: figure
+    for figure in (
         ST_RRED,
         Figure(name="spatial_rred", label="SRRED", meaning="the spatial part of ST-RRED", decimals=3, better="lower"),
         Figure(name="temporal_rred", label="TRRED", meaning="the temporal part of ST-RRED", decimals=3, better="lower"),
     )
-)
+}
 """Of a whole clip; tables have the first."""
 
 RESCALE: Final = Figure(
@@ -72,6 +70,5 @@ RESCALE: Final = Figure(
     label="rescaled by",
     meaning="the factor that the protocol multiplied a prediction by; 1 if it does not rescale",
     decimals=3,
-    needs=("a prediction", "its reference"),
     computed_by="eldata.metrics.image_score:rescale_factor",
 )

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.arrays import NpyError, opened_npz
+from eldata.base.arrays import NpyError, read_npz
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import atomic_write, file_problem, json_text
 from eldata.base.visible import shown
@@ -36,7 +36,7 @@ from eldata.raw.levels import cfa_from, pack, packed_area, packed_channels, pack
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.base.arrays import Declared, NpzArchive
+    from eldata.base.arrays import Declared
     from eldata.raw.levels import CfaRows
 
 _SCHEMA, _SCHEMA_WITH_MODEL = 1, 2
@@ -383,8 +383,7 @@ class DarkShading:
         if (problem := file_problem(path)) is not None:
             raise ShadingError(path, problem)
         try:
-            with opened_npz(path) as archive:
-                shading, stated = _read(path, archive)
+            shading, stated = _read(path)
         except NpyError as error:
             raise ShadingError(path, f"is not the file of a dark shading: {error}; {_ADVICE}") from error
         except (ArgumentError, ValueError) as error:
@@ -398,7 +397,7 @@ class DarkShading:
         return shading
 
 
-def _read(path: Path, archive: NpzArchive) -> tuple[DarkShading, str]:
+def _read(path: Path) -> tuple[DarkShading, str]:
     """Read a shading, and the digest that its file states; what is declared is checked before it is loaded."""
 
     def array(name: str, dtype: str, *shape: int) -> NDArray[Any]:
@@ -408,7 +407,7 @@ def _read(path: Path, archive: NpzArchive) -> tuple[DarkShading, str]:
                 expected = f"{dtype} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
                 raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
 
-        return archive.read(name, check)
+        return read_npz(path, name, check)
 
     top = TextFile(path, ShadingError, _ADVICE, content=array("about", "uint8").tobytes()).json()
     has_model = top.schema(_SCHEMA, also=(_SCHEMA_WITH_MODEL,)) == _SCHEMA_WITH_MODEL

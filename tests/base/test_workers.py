@@ -11,16 +11,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING
 
 import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may be there or not
 import pytest
 
 from eldata.base.workers import Workers
-from eldata.errors import ArgumentError, EldataError, RawFileError
-from eldata.raw.reading import read_header
+from eldata.errors import ArgumentError
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -48,77 +46,10 @@ def test_results_come_in_the_units_order(jobs: int) -> None:
     assert list(Workers(jobs).run(abs, list(range(-30, 0)))) == list(range(30, 0, -1))
 
 
-class Counted(Sequence[int]):
-    """Numbers, with a count of how many have been taken."""
-
-    def __init__(self, length: int) -> None:
-        self.length, self.taken = length, 0
-
-    def __len__(self) -> int:
-        return self.length
-
-    @overload
-    def __getitem__(self, index: int) -> int: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[int]: ...
-    def __getitem__(self, index: int | slice) -> int | Sequence[int]:
-        if isinstance(index, slice):
-            return range(self.length)[index]
-        if index >= self.length:
-            raise IndexError
-        self.taken = max(self.taken, index + 1)
-        return index
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_the_window_is_bounded(jobs: int) -> None:
-    """Results that nobody has fetched yet (packed images, at times) must not pile up."""
-    units = Counted(1000)
-    results = Workers(jobs).run(abs, units)
-    for expected in range(5):
-        assert next(results) == expected
-        assert units.taken <= expected + 1 + 4 * jobs + 1
-    results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_an_error_comes_through_after_the_results_before_it(jobs: int) -> None:
-    results = Workers(jobs).run(int, ["1", "2", "three", "4"])
-    assert [next(results), next(results)] == [1, 2]
-    with pytest.raises(ValueError, match="'three'"):
-        next(results)
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_our_errors_keep_their_fields(tmp_path: Path, jobs: int) -> None:
-    """Exceptions are pickled on their way; those with arguments of their own easily come back broken, or hang."""
-    missing = [tmp_path / "a.dng", tmp_path / "b.dng"]
-    with pytest.raises(RawFileError, match="No such file") as raised:
-        list(Workers(jobs).run(read_header, missing))
-    assert raised.value.path == missing[0]
-    assert str(missing[0]) in str(raised.value)
-
-
 @pytest.mark.parametrize("jobs", [0, -1])
 def test_there_must_be_a_job(jobs: int) -> None:
     with pytest.raises(ArgumentError, match=f"workers must be 1 or more; found {jobs}"):
         list(Workers(jobs).run(abs, [1]))
-
-
-@pytest.mark.kill
-def test_the_error_names_the_unit_that_kills() -> None:
-    """The window is full here, and the units before it, whose workers were lost with it, are run again."""
-    units = [0] * 7 + [int(signal.SIGKILL)] + [0] * 40  # signal 0 does nothing
-    results = Workers(2).run(signal.raise_signal, units)
-    assert [next(results) for _ in range(7)] == [None] * 7
-    with pytest.raises(EldataError, match=r"^9: worker processes died"):
-        next(results)
-
-
-def run_script(text: str, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    (folder / "work.py").write_text(text, encoding="utf-8")
-    command = [sys.executable, str(folder / "work.py"), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=folder)
 
 
 UNGUARDED = """
@@ -130,9 +61,10 @@ print(list(Workers(2).run(abs, [1, 2, 3])))
 
 def test_a_script_without_the_guard(tmp_path: Path) -> None:
     """Each worker that runs it again says so in one line, and no pool is started for ever."""
-    done = run_script(UNGUARDED, tmp_path)
-    assert (done.returncode, done.stdout) == (1, "")
-    lines = done.stderr.splitlines()
+    with started(UNGUARDED, tmp_path) as child:
+        out, err = child.communicate(timeout=PATIENCE_S)
+    assert (child.returncode, out) == (1, "")
+    lines = err.splitlines()
     said = 'put work under if __name__ == "__main__": each worker process runs the script again'
     assert 1 <= lines.count(said) <= 4
     assert "worker processes die as soon as they start" in lines[-1]
@@ -278,6 +210,3 @@ def test_workers_end_with_their_parent(work: str, number: int, tmp_path: Path) -
         child.send_signal(number)
         assert child.wait(PATIENCE_S) == -number
         assert psutil.wait_procs(workers, timeout=PATIENCE_S)[1] == []
-
-
-# --- what public functions take -----------------------------------------------------------------------------------

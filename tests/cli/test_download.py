@@ -86,18 +86,6 @@ def test_yes_fetches_unpacks_and_says_what_is_next(eldata: Cli, small: server.Si
     }
 
 
-def test_interrupted(eldata: Cli, small: server.Site, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("time.sleep", interrupt)
-    small.then(server.breaking_after(10))
-    outcome = eldata("download", "small", "--yes")
-    assert (outcome.code, outcome.err.count("\n")) == (130, 1)
-    assert "the same command goes on from there" in outcome.err
-    assert "Traceback" in eldata("download", "small", "--yes", "--debug").err
-
-
 # --- parts ------------------------------------------------------------------------------------------------------------
 
 
@@ -135,6 +123,3 @@ def test_an_archive_saved_by_hand(name: str, pack: object, eldata: Cli, small: s
     assert "1 files beside the dataset's folder stay in it" in outcome.out
     assert tree(data) == {f"SID/{name}": content for name, content in FILES.items()}
     assert small.requests == []
-
-
-# --- usage ------------------------------------------------------------------------------------------------------------

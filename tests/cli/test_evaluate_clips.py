@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.base.arrays import rgb_frame
+from eldata.base.arrays import read_rgb16
 from eldata.datasets.published import DRVDataset
 from eldata.evaluation import evaluate, load_result, save_clip_prediction
 from eldata.manifest.layouts import scan_raw
@@ -84,7 +84,8 @@ def test_json_csv_and_tables(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_
 def test_the_noisy_input(eldata: Cli, drv: SmallDrv, tmp_path: Path) -> None:
     """It equals the score of the frames themselves, saved as predictions."""
     for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
-        save_clip_prediction(tmp_path / "own", record, np.stack([rgb_frame(drv.data / path) for path in record.frames]))
+        frames = np.stack([read_rgb16(drv.data / path) for path in record.frames]).transpose(0, 3, 1, 2)
+        save_clip_prediction(tmp_path / "own", record, frames)
     text = run(eldata, drv, "--baseline", "input", *CHOSEN)
     assert text == run(eldata, drv, tmp_path / "own", *CHOSEN)
     baseline = evaluate(None, manifest=drv.csv, root=drv.root, ids=["0007", "0013"], baseline="input")

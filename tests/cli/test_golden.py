@@ -38,9 +38,6 @@ def spoil(tree: Tree) -> None:
 def test_verify_ok(eldata: Cli, tree: Tree) -> None:
     outcome = eldata("verify", tree.manifest.parent, "--root", tree.root, "--level", "metadata", "--jobs", "1")
     check("verify-ok", outcome, 0, tree=tree.folder)
-
-
-def test_verify_full_without_hashes(eldata: Cli, tree: Tree) -> None:
     outcome = eldata("verify", tree.manifest, "--root", tree.root, "--level", "full", "--jobs", "1")
     check("verify-full", outcome, 0, tree=tree.folder)
 
@@ -82,9 +79,15 @@ def test_evaluate_ok(eldata: Cli, tree: Tree, predictions: Path) -> None:
 
 
 def test_evaluate_problems(eldata: Cli, tree: Tree, predictions: Path, tmp_path: Path) -> None:
-    spoilt = spoilt_predictions(predictions, tmp_path)
-    outcome = eldata("evaluate", spoilt, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
-    check("evaluate-problems", outcome, 1, predictions=spoilt)
+    folder = tmp_path / "preds"
+    shutil.copytree(predictions, folder)
+    scene = folder / "DemoAlpha" / "scene-1"
+    (scene / "IMG_0004.npy").unlink()
+    np.savez(scene / "IMG_0005.npz", np.zeros(3))
+    (scene / "IMG_0009.npy").rename(scene / "IMG_0099.npy")
+    np.save(scene / "IMG_0002.npy", np.zeros(3))
+    outcome = eldata("evaluate", folder, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
+    check("evaluate-problems", outcome, 1, predictions=folder)
 
 
 def test_evaluate_allow_missing(eldata: Cli, tree: Tree, predictions: Path, tmp_path: Path) -> None:
@@ -96,14 +99,3 @@ def test_evaluate_allow_missing(eldata: Cli, tree: Tree, predictions: Path, tmp_
     check("evaluate-allow-missing", eldata(*arguments), 0, predictions=folder)
     (folder / "DemoAlpha" / "scene-1" / "IMG_0005.npy").write_bytes(b"")
     assert eldata(*arguments).code == 1  # an unusable prediction stays a problem
-
-
-def spoilt_predictions(predictions: Path, tmp_path: Path) -> Path:
-    folder = tmp_path / "preds"
-    shutil.copytree(predictions, folder)
-    scene = folder / "DemoAlpha" / "scene-1"
-    (scene / "IMG_0004.npy").unlink()
-    np.savez(scene / "IMG_0005.npz", np.zeros(3))
-    (scene / "IMG_0009.npy").rename(scene / "IMG_0099.npy")
-    np.save(scene / "IMG_0002.npy", np.zeros(3))
-    return folder

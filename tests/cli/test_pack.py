@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import signal
 from typing import TYPE_CHECKING
-
-import pytest
 
 from eldata.datasets import DarkFrames
 from eldata.datasets.packed import PackedClips, PackedStore
-from eldata.sources.store import source_of_dataset
 from tests.cli.test_usage import assert_one_line
 from tests.datasets.test_dark_frames import written
 from tests.drv_tree import small_drv
-from tests.sources.store.helpers import start_packing
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,9 +46,6 @@ def test_a_folder_of_clean_raws(eldata: Cli, tree: Tree, tmp_path: Path) -> None
     assert_one_line(eldata("pack", "eld", "-o", tmp_path / "x.h5", "--reference", "*"), "is for a folder of raws")
     assert_one_line(eldata("pack", folder, "-o", tmp_path / "x.h5", "--split", "test"), "--split", "is a folder")
     assert_one_line(eldata("pack", tmp_path, "-o", tmp_path / "x.h5"), "holds no camera raw file")
-    (tmp_path / "one").mkdir()
-    shutil.copy(next(iter(folder.glob("*.dng"))), tmp_path / "one")
-    assert eldata("pack", tmp_path / "one", "-o", tmp_path / "one.h5").out.startswith("1 frame packed: ")
 
 
 def test_a_damaged_store_is_listed_with_code_1(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
@@ -70,23 +59,6 @@ def test_a_damaged_store_is_listed_with_code_1(eldata: Cli, tree: Tree, tmp_path
     assert (outcome.code, outcome.err) == (1, "")
     assert "sha256 of the pixels" in outcome.out
     assert "copy or pack the store again" in outcome.out
-
-
-# --- processes of their own ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.kill
-def test_ctrl_c_is_one_line_and_leaves_no_half_store(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
-    store = tmp_path / "store.h5"
-    files = source_of_dataset("eld-demo", root=tree.root, manifest=tree.manifest).files
-    process = start_packing(command(tree, store, "--jobs", "1"), stop_at=files[7][0], folder=tmp_path)
-    os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=PATIENCE_S)
-    assert (process.returncode, out, err.count("\n")) == (130, "", 1)
-    assert "interrupted; files are written whole or not at all, so none is left half" in err
-    assert not store.exists()
-    assert eldata(*command(tree, store)).out.startswith("32 frames packed: ")
-    assert eldata("verify", store, "--level", "full").code == 0
 
 
 # --- clips ----------------------------------------------------------------------------------------------------------
@@ -104,12 +76,12 @@ def test_clips_are_packed_verified_and_read(eldata: Cli, tmp_path: Path) -> None
     assert len(PackedClips(store, crop=8)) == len(PackedClips(store, dynamic=True, crop=8)) == 1
     part = eldata(*packing, "-o", tmp_path / "m.h5", "--clip", "M0003")
     assert part.out.startswith("6 frames packed: ")
-    assert_one_line(
-        eldata(*packing, "-o", tmp_path / "x.h5", "--clip", "0008"), "no clip has scene 0008", "0007, M0003"
-    )
-    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--split", "x"), "no clip has split x", "dynamic")
-    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--camera", "X"), "no clip has camera X", "SonyRX100M6")
-    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--subset", "x"), "no subset is called 'x'")
+    for option, words in (
+        (("--clip", "0008"), ("no clip has scene 0008", "0007, M0003")),
+        (("--split", "x"), ("no clip has split x", "dynamic")),
+        (("--subset", "x"), ("no subset is called 'x'",)),
+    ):
+        assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", *option), *words)
     assert_one_line(eldata("pack", tmp_path, "-o", tmp_path / "x.h5", "--clip", "1"), "--clip", "is a folder")
 
 

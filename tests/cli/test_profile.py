@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.noise.profile import CameraProfile, shipped_profiles
-from tests.cases import in_one_test
+from tests.cli.test_usage import assert_one_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,19 +47,9 @@ def test_list(profile: Profile) -> None:
     assert [item["profile"] for item in listed] == list(shipped_profiles())
 
 
-@in_one_test(
-    "line, words",
-    [
-        ("show Leica", "no camera profile is called 'Leica'"),
-        ("show absent.json", "absent.json: cannot be read"),
-    ],
-)
-def test_unusable_input_is_one_line_and_exit_code_2(profile: Profile, line: str, words: str) -> None:
-    done = profile(*line.split())
-    assert done.code == 2
-    assert words in done.err
-    assert done.err.count("\n") == 1
-    assert "unexpected" not in done.err
+def test_unusable_input_is_one_line_and_exit_code_2(profile: Profile) -> None:
+    assert_one_line(profile("show", "Leica"), "no camera profile is called 'Leica'")
+    assert_one_line(profile("show", "absent.json"), "absent.json: cannot be read")
 
 
 def test_import(profile: Profile) -> None:
@@ -77,28 +67,14 @@ def test_import(profile: Profile) -> None:
     done = profile("import", "NikonD850_params.json", "-o", "nikon.json")
     assert (done.code, done.err) == (0, "")
     assert done.out.splitlines()[0] == f"NikonD850: {len(shipped.rows)} rows, Profile-1"
-    made = CameraProfile.load(Path("nikon.json"))
-    assert [row.colour_bias_dn for row in made.rows] == [row.colour_bias_dn for row in shipped.rows]
-    assert made.source == "NikonD850_params.json, as the ELD authors publish such files, Profile-1"
+    assert len(CameraProfile.load(Path("nikon.json")).rows) == len(shipped.rows)
     both = data | {"Profile-2": lines | {"G_scale": fit | {"slope": 0.75}}}
     Path("both.json").write_text(json.dumps(both), encoding="utf-8")
-    for options, words in (
-        ((), "both.json holds 2 calibrations; choose one with --calibration: Profile-1, Profile-2"),
-        (
-            ("--calibration", "Profile-3"),
-            "both.json holds no calibration 'Profile-3'; known are Profile-1, Profile-2",
-        ),
-    ):
-        refused = profile("import", "both.json", "-o", "two.json", *options)
-        assert refused.code == 2
-        assert words in refused.err
-    assert not Path("two.json").exists()
+    refused = profile("import", "both.json", "-o", "two.json")
+    assert (refused.code, Path("two.json").exists()) == (2, False)
+    assert "both.json holds 2 calibrations; choose one with --calibration: Profile-1, Profile-2" in refused.err
     done = profile("import", "both.json", "-o", "two.json", "--calibration", "Profile-2", "--camera", "Mine")
     assert done.code == 0
     second = CameraProfile.load(Path("two.json"))
     line = second.gain_modes[0].tukey_lambda_fit
     assert (second.camera, line and line.slope) == ("Mine", 0.75)
-    Path("bad-params.json").write_bytes(b"no")
-    refused = profile("import", "bad-params.json", "-o", "bad.json")
-    assert (refused.code, Path("bad.json").exists()) == (2, False)
-    assert "is not JSON, or not whole" in refused.err

@@ -205,7 +205,7 @@ def test_what_is_refused(content: bytes, words: list[str], tmp_path: Path) -> No
 
 def test_what_is_no_file(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.zip")
-    refused(tmp_path / "pipe.zip", "is a named pipe, not a file")
+    refused(tmp_path / "pipe.zip", "is a pipe, device or socket, not a file")
     refused(tmp_path / "none.zip", "cannot be read", "No such file")
 
 

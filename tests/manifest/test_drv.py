@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.base.arrays import decode_png, read_png_header, read_rgb16, rgb_frame
+from eldata.base.arrays import decode_png, read_png_header, read_rgb16
 from eldata.download.fetching import archive_name, choose_parts
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import shipped_manifest
@@ -194,10 +194,6 @@ def test_png_samples_come_in_the_order_of_the_file(tmp_path: Path) -> None:
     pixels[...] = (60000, 30000, 257)  # red, green, blue
     write_png(tmp_path / "x.png", pixels)
     assert np.array_equal(read_rgb16(tmp_path / "x.png"), pixels)
-    frame = rgb_frame(tmp_path / "x.png")
-    assert frame.shape == (3, 3, 4)
-    assert frame.dtype == np.float32
-    np.testing.assert_array_equal(frame[:, 0, 0], np.array([60000, 30000, 257], np.float32) / np.float32(65535))
     assert str(read_png_header(tmp_path / "x.png")) == "16-bit RGB"
     assert np.array_equal(decode_png((tmp_path / "x.png").read_bytes()), pixels)
 

@@ -300,6 +300,19 @@ def test_which_of_several_arrays_is_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "content", "problem"),
+    [
+        ("x.mat", b"\x89HDF\r\n\x1a\n", "is HDF5 without MATLAB's header: name it .h5"),
+        ("x.h5", b"MATLAB 7.3 MAT-file", "is a MATLAB file: name it .mat"),
+    ],
+)
+def test_a_misnamed_file_is_named_for_what_it_is(name: str, content: bytes, problem: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(RawFileError, match=problem):
+        read_raw(StatedFile(tmp_path / name, FACTS))
+
+
+@pytest.mark.parametrize(
     ("field", "value"),
     [
         ("cfa", "RGBG"),

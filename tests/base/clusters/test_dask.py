@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import socket
-import subprocess
 import sys
 import threading
 from concurrent.futures import Executor
@@ -39,10 +38,6 @@ def tree(demo_tree: Path) -> Tree:
 def scheduler_of(cluster: LocalCluster) -> Any:
     """The scheduler, which is a thread of this process: what it holds can be looked at."""
     return cluster.scheduler
-
-
-def tasks_on(cluster: LocalCluster) -> set[str]:
-    return set(map(str, list(scheduler_of(cluster).tasks)))
 
 
 def pids_in(folder: Path) -> list[int]:
@@ -120,38 +115,6 @@ def test_a_command_on_a_cluster_prints_what_it_prints_alone(
         outputs.append(capsys.readouterr())
     assert outputs[0].out
     assert outputs[1] == outputs[0]
-
-
-def test_ctrl_c_takes_the_work_back(
-    tree: Tree, address: str, cluster: LocalCluster, dask: Executor, tmp_path: Path
-) -> None:
-    """Both workers are held by tasks of another user, so that those of the command certainly wait."""
-    others = [dask.submit(partial(work.held, tmp_path, partial(work.double, number))) for number in (1, 2)]
-    until(lambda: len(pids_in(tmp_path)) == 2)
-    before = tasks_on(cluster)
-    command = ["verify", tree.manifest, "--root", tree.root, "--level", "full", "--dask", address]
-    with subprocess.Popen(
-        [sys.executable, "-m", "eldata.cli.main", *map(str, command)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as process:
-        try:
-            until(lambda: process.poll() is not None or len(tasks_on(cluster) - before) == 9)
-            os.killpg(process.pid, signal.SIGINT)
-            out, err = process.communicate(timeout=PATIENCE_S)
-        finally:
-            if process.poll() is None:
-                process.kill()
-    assert process.returncode == 130, err
-    assert out == ""
-    assert err == "eldata verify: interrupted; files are written whole or not at all, so none is left half\n"
-    until(lambda: tasks_on(cluster) <= before)
-    (tmp_path / "go").touch()
-    assert [other.result(60) for other in others] == [2, 4], "the other user's tasks are well"
-    del others
-    until(lambda: not any(worker.processing for worker in list(scheduler_of(cluster).workers.values())))
 
 
 def failing(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

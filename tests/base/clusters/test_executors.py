@@ -38,20 +38,16 @@ def test_the_executor_is_not_shut_down(executor: Executor) -> None:
 
 
 def test_failing_units_do_not_lose_the_rest(executor: Executor) -> None:
-    found = list(Workers(executor=executor).attempt(work.fail_at_threes, range(10)))
-    assert [one for one in found if not isinstance(one, Failed)] == [1, 2, 4, 5, 7, 8]
-    failed = [one for one in found if isinstance(one, Failed)]
-    assert [(one.unit, one.reason) for one in failed] == [(n, f"{n}.dng: is not whole") for n in (0, 3, 6, 9)]
-    assert all(isinstance(one.error, RawFileError) for one in failed)
-
-
-def test_a_mistake_in_the_program_is_the_units_failure_too(executor: Executor) -> None:
-    found = list(Workers(executor=executor).attempt(work.fail_in_the_program, [1, 2, 3]))
-    assert (found[0], found[2]) == (-1, 3)
-    assert isinstance(found[1], Failed)
-    assert found[1].reason.startswith("unexpected ZeroDivisionError")
-    with pytest.raises(ZeroDivisionError):
-        list(Workers(executor=executor).run(work.fail_in_the_program, [1, 2, 3]))
+    outcomes = list(Workers(executor=executor).attempt(work.fail_at_threes, range(10)))
+    assert [outcome for outcome in outcomes if not isinstance(outcome, Failed)] == [1, 2, 4, 5, 7, 8]
+    failed = [outcome for outcome in outcomes if isinstance(outcome, Failed)]
+    assert [(failure.unit, failure.reason) for failure in failed] == [
+        (number, f"{number}.dng: is not whole") for number in (0, 3, 6, 9)
+    ]
+    assert all(isinstance(failure.error, RawFileError) and failure.error.path for failure in failed), "with its fields"
+    outcome = list(Workers(executor=executor).attempt(work.fail_in_the_program, [1, 2, 3]))[1]
+    assert isinstance(outcome, Failed)
+    assert outcome.reason.startswith("unexpected ZeroDivisionError")
 
 
 def test_errors_that_cannot_be_made_again(executor: Executor) -> None:
@@ -116,6 +112,10 @@ def test_a_bounded_number_of_units_is_in_flight(workers: int | None, in_flight: 
     assert executor.futures == [], "nothing starts before a result is wanted"
     assert list(results) == [2 * number for number in range(200)]
     assert executor.most == in_flight
+    results = Workers(executor=executor).run(work.double, range(200))
+    next(results)
+    results.close()  # type: ignore[attr-defined] # as Ctrl-C does
+    assert all(future.done() for future in executor.futures), "what waits is taken back"
 
 
 # --- executors that cannot --------------------------------------------------------------------------------------------
@@ -124,11 +124,12 @@ def test_a_bounded_number_of_units_is_in_flight(workers: int | None, in_flight: 
 @pytest.mark.kill
 def test_a_broken_pool_of_the_callers_is_an_error_that_names_the_unit(importable: None) -> None:
     tasks = [work.Task(3, "three.dng"), *(work.Task(number) for number in range(4, 40))]
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        with pytest.raises(EldataError, match=r"^the executor cannot run the work on three\.dng: BrokenProcessPool"):
-            list(Workers(executor=pool).run(work.end_the_process, tasks))
-        with pytest.raises(EldataError, match=r"BrokenProcessPool"):
-            list(Workers(executor=pool).run(work.end_the_process, tasks))
+    message = r"^the executor cannot run the work on three\.dng: BrokenProcessPool"
+    with (
+        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
+        pytest.raises(EldataError, match=message),
+    ):
+        list(Workers(executor=pool).run(work.end_the_process, tasks))
 
 
 def test_work_that_cannot_travel(processes: Executor) -> None:

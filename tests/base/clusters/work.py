@@ -49,10 +49,6 @@ def fail_oddly(number: int) -> int:
     raise UnpicklableError(number, number)
 
 
-def process_of(_: int) -> int:
-    return os.getpid()
-
-
 def look_at(path: Path) -> int:
     require_files(path)
     return path.stat().st_size

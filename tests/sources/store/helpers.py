@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -90,21 +87,3 @@ write._decode = stopping
 from eldata.cli.main import main
 sys.exit(main(sys.argv[3:]))
 """
-
-
-def start_packing(arguments: list[str], *, stop_at: str, folder: Path) -> subprocess.Popen[str]:
-    """Start `eldata pack` in a process of its own that comes to a file and stays there; return once it is there."""
-    marker = folder / "stopped"
-    marker.unlink(missing_ok=True)
-    process = subprocess.Popen(
-        [sys.executable, "-c", _STOPS, stop_at, str(marker), *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    while not marker.exists():
-        if process.poll() is not None:
-            raise RuntimeError(f"it ended before {stop_at}: {process.communicate()}")
-        time.sleep(0.005)
-    return process

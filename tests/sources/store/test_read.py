@@ -76,7 +76,7 @@ def test_a_file_that_is_no_store(tmp_path: Path) -> None:
     refused(empty, r"is empty \(0 bytes\)")
     refused(hdf5, "is an HDF5 file, but not a store of eldata")
     refused(tmp_path / "store.h5", "cannot be read: No such file or directory")
-    refused(tmp_path / "pipe.h5", "is a named pipe, not a file")
+    refused(tmp_path / "pipe.h5", "is a pipe, device or socket, not a file")
 
 
 @pytest.mark.parametrize("share", [0.02, 0.999])

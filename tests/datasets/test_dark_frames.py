@@ -18,7 +18,7 @@ from eldata.datasets import Arrays, CleanClips, DarkFrames, SyntheticClips, Synt
 from eldata.datasets.clean import CleanFrames
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import Adc, CameraProfile, DarkShading, NoiseDraw, NoiseModel, NoiseParameters, ShadingIso
-from eldata.noise.compiled import expose_compiled
+from eldata.noise._kernels import expose_compiled
 from eldata.noise.on_device import expose_on_device
 from eldata.raw import pack, read_raw, write_dng
 from eldata.records import Exposure

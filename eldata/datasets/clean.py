@@ -4,25 +4,37 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import replace
+from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeGuard
 
+import numpy as np
+
+from eldata.base.compiled import scratch
 from eldata.base.files import visible_below
+from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.catalogue import FrameFiles, find_manifests, is_manifest
 from eldata.manifest.clean import clean_raws
 from eldata.manifest.clips import moment_name
 from eldata.manifest.patterns import expand, sequence_of
+from eldata.noise.model import check_normalised
+from eldata.raw._kernels import scatter_bayer
 from eldata.raw.files import is_raw, no_raws
-from eldata.raw.levels import LEVELS, Levels, check_in_dn
+from eldata.raw.levels import LEVELS, Levels, check_in_dn, packing_sites, unpack
 from eldata.raw.stated import StatedFile
-from eldata.sources.frames import Files, Frame, FrameSource
+from eldata.sources.frames import Files, Frame, FrameSource, Pixels
 from eldata.sources.store.read import SUFFIXES, Store
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from numpy.typing import NDArray
+
+    from eldata.raw.levels import CfaRows
     from eldata.records import FrameRecord
+
+_BAYER: CfaRows = ((0, 1), (3, 2))
 
 
 class CleanSource(Protocol):
@@ -240,6 +252,76 @@ def _is_store(source: Path | str) -> bool:
     return Path(source).suffix.lower() in SUFFIXES
 
 
+class Arrays:
+    """Clean frames from packed, normalised arrays (C, h, w) in memory (or memory-mapped).
+
+    Parameters
+    ----------
+    arrays
+        One array per frame, or one array (N, C, h, w).
+    range_dn
+        White minus black level of the camera that is simulated, DN.
+    cfa
+        Their CFA; by default RGGB.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.datasets import Arrays
+    >>> len(Arrays(np.zeros((3, 4, 64, 64), np.float32), range_dn=15871.0))
+    3
+    """
+
+    reads_parts = True
+
+    def __init__(
+        self, arrays: Sequence[NDArray[Any]] | NDArray[Any], *, range_dn: float, cfa: CfaRows = _BAYER
+    ) -> None:
+        if len(arrays) == 0:
+            raise ArgumentError("no array was given")
+        self.arrays = arrays
+        self.range_dn = checked_number("range_dn", range_dn, above=0)
+        self._sites = packing_sites(cfa)  # packed data starts where packing does, whatever the offset of its sensor
+        self._black_level_dn = (0.0,) * self._sites.levels
+        self.cfa = cfa
+        check_normalised(np.asarray(arrays[0]), "array 0")
+
+    def __len__(self) -> int:
+        return len(self.arrays)
+
+    def frame(self, index: int) -> Frame:
+        """Return one array as a mosaic."""
+        packed, name, sites = np.asarray(self.arrays[index]), f"array {index}", self._sites
+        check_normalised(packed, name)
+        if packed.ndim != 3 or len(packed) != sites.channels or any(side % sites.sub for side in packed.shape[1:]):
+            unpack(packed, sites.cfa)  # raises, saying what is expected
+        shape = packed.shape[1] * sites.scale, packed.shape[2] * sites.scale
+        mosaic = Pixels(shape, np.dtype(np.float32), partial(self._read, packed))
+        return Frame(mosaic, sites.cfa, self._black_level_dn, self.range_dn, name)
+
+    def _read(self, packed: NDArray[Any], rows: slice, columns: slice) -> NDArray[np.float32]:
+        """Return a part of a mosaic, in DN, put together in memory that the next call of this thread overwrites."""
+        sites, range_dn = self._sites, np.float32(self.range_dn)
+        period, scale = sites.period, sites.scale
+        top, bottom, _ = rows.indices(packed.shape[1] * scale)
+        left, right, _ = columns.indices(packed.shape[2] * scale)
+        above, before = top % period, left % period  # of the periods that hold it
+        height, width = above + bottom - top, before + right - left
+        height, width = height + -height % period, width + -width % period
+        row, column = (top - above) // scale, (left - before) // scale
+        if period == 2 and packed.dtype == np.float32:
+            whole: NDArray[np.float32] = scratch("unpacked", (height, width), range_dn.dtype)
+            scatter_bayer(packed, row, column, sites.channel_of, range_dn, whole)
+        else:
+            periods = packed[:, row : row + height // scale, column : column + width // scale]
+            whole = unpack(periods.astype(np.float32, copy=False), sites.cfa)
+            whole *= range_dn
+        return whole[above : above + bottom - top, before : before + right - left]
+
+    def __repr__(self) -> str:
+        return f"Arrays({len(self)} frames of shape {self.arrays[0].shape}, range_dn={self.range_dn:g})"
+
+
 class CleanClips:
     """Clean clips by their number, for :class:`~eldata.datasets.synthetic.pairs.SyntheticClips`.
 
@@ -249,7 +331,7 @@ class CleanClips:
         A folder, or a store of it (``eldata pack FOLDER``): each folder at any depth below it that holds camera raws is
         a clip, in the order of the numbers in their names; of a manifest each folder that holds references. Or clips
         one by one: such folders, or :class:`CleanFrames`,
-        :class:`~eldata.datasets.synthetic.arrays.Arrays` and the like in the order of time.
+        :class:`~eldata.datasets.clean.Arrays` and the like in the order of time.
     levels
         Of folders and stores, as in :class:`CleanFrames`.
 

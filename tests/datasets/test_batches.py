@@ -196,22 +196,6 @@ def test_samples_are_dictionaries() -> None:
         same(pickle.loads(pickle.dumps(part)), dict(part))
 
 
-@pytest.mark.parametrize(("workers", "method"), WORKERS)
-def test_a_collate_of_ones_own_gets_the_samples(workers: int, method: str | None) -> None:
-    loader = DataLoader(
-        Numbers(), batch_size=4, num_workers=workers, multiprocessing_context=method, collate_fn=sums_and_images
-    )
-    everything = list(loader)
-    for number, (sums, images) in enumerate(everything):
-        assert sums == [2 * SIDE * SIDE * (4 * number + place) for place in range(4)]
-        for place, image in enumerate(images):
-            assert (image == 4 * number + place).all()
-
-
-def sums_and_images(samples: list[dict[str, Any]]) -> tuple[list[float], list[torch.Tensor]]:
-    return [float(sample["image"].sum()) for sample in samples], [sample["image"] for sample in samples]
-
-
 def test_changed_samples_are_collated_as_they_are() -> None:
     numbers, plain = Numbers(), Plain()
     reordered = numbers.__getitems__([3, 4, 5])[::-1]

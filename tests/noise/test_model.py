@@ -18,8 +18,6 @@ from tests.noise.helpers import (
     PARAMETERS,
     RANGE_DN,
     RATIO,
-    Law,
-    clean_of,
     compiled_dn,
 )
 
@@ -55,15 +53,6 @@ def test_a_converter_rounds_to_the_nearest(black: float) -> None:
     clean = np.repeat(values, 4).reshape(1, -1, 4).transpose(0, 2, 1)[..., None] * (RATIO / RANGE_DN)
     dn = compiled_dn("B", clean.astype(np.float32), NoiseParameters(1, 0, 0, 0, 0), adc=Adc(black, 16383.0))
     np.testing.assert_allclose(dn[0, 0, :, 0], np.rint(values + black) - black, atol=1e-4)
-
-
-def test_a_converter_has_the_variance_of_uniform_quantisation() -> None:
-    """262144 pixels of 2.1 DN deviation: mean and variance within 5 standard errors."""
-    adc = Adc(512.0, 16383.0)
-    dn = compiled_dn("G", clean_of(np.array([50.3]), (4, 256, 256), PARAMETERS), PARAMETERS, seed=10, adc=adc)
-    law = Law.of("G+U", PARAMETERS, 50.3)
-    assert abs(dn.mean() - law.mean) < 5 * law.mean_error(dn.size, 1)
-    assert abs(np.mean((dn - law.mean) ** 2) - law.variance) < 5 * law.variance_error(dn.size, 1)
 
 
 # --- clip, ratio and range ------------------------------------------------------------------------------------------

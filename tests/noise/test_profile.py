@@ -14,8 +14,6 @@ import pytest
 import torch
 from scipy import stats
 
-from eldata.baselines.classical import noise_of_parameters
-from eldata.baselines.noisy_frames import typical
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters, shipped_profiles
 from eldata.noise.profile import LogLogFit, ProfileRow
@@ -267,16 +265,6 @@ def test_a_frame_of_the_drawn_row_gives_the_colour_bias(make: Callable[[int], Ge
     observed = [counts[frame] for frame in frames if frame in counts]
     assert stats.chisquare(observed, 3000 * shares).pvalue > LEAST_P_VALUE
     assert WITH_FRAMES.measured(100) == FULL.measured(100)
-
-
-def test_draws_have_the_quantisation_step_of_the_camera() -> None:
-    coarse = dataclasses.replace(FULL, quantisation_step_dn=4.0)
-    for profile, step in ((coarse, 4.0), (FULL, 1.0)):
-        assert profile.sample(np.random.default_rng(1)).quantisation_step_dn == step
-        assert profile.measured(100).quantisation_step_dn == step
-        assert typical(profile, 200).quantisation_step_dn == step
-        variance = noise_of_parameters(profile.measured(100), ratio=1.0, range_dn=1.0).offset
-        assert variance == pytest.approx(2.5**2 + 0.5**2 + step**2 / 12)
 
 
 @BOTH

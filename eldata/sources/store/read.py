@@ -316,8 +316,6 @@ def decode_facts(facts: bytes, crc32: int) -> list[StoredFrame]:
     frames = []
     for number, (path, role, sha256, sensor, exposure) in enumerate(data["frames"]):
         key, stated = frame_key(number), (sensors[sensor][0], exposures[exposure], sensors[sensor][1])
-        if not (isinstance(path, str) and isinstance(sha256, str)):
-            raise TypeError(f"frame {key}: path {path!r}, sha256 {sha256!r}")
         frames.append(StoredFrame(key, path, role, sha256, *stated))
     return frames
 

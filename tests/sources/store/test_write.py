@@ -75,12 +75,6 @@ def test_a_store_holds_every_file_once_as_decoded(compression: Any, jobs: int, t
     assert sorted(path.name for path in tmp_path.iterdir()) == ["store.h5"]
 
 
-def test_a_store_of_clean_frames_holds_no_manifest(clean: Packed) -> None:
-    store = Store(clean.store)
-    assert (store.manifest, store.dataset) == (None, "raws")
-    assert [(frame.path, frame.role) for frame in store.frames] == [(f"{n}.dng", "reference") for n in range(4)]
-
-
 def test_a_store_keeps_fractions(tmp_path: Path) -> None:
     """Levels, white balance and matrix come back to the last digit, negative ones too, with the matrix's light."""
     (tmp_path / "clean").mkdir()
@@ -236,19 +230,6 @@ def test_a_signal_while_hdf5_writes_comes_after_it_and_leaves_nothing(
     monkeypatch.setattr(write, "_Disk", Disk)
     with pytest.raises(KeyboardInterrupt):
         build_store(clean.source, tmp_path / "store.h5", compression=compression)
-    assert h5py.h5f.get_obj_count() == opened
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_ctrl_c_leaves_nothing(clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    opened = h5py.h5f.get_obj_count()
-    with monkeypatch.context() as patch:
-        patch.setattr("eldata.sources.store.write.encode_facts", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            build_store(clean.source, tmp_path / "store.h5", workers=2)
     assert h5py.h5f.get_obj_count() == opened
     assert list(tmp_path.iterdir()) == []
 

@@ -290,6 +290,6 @@ class PairDataset(SourcePairs):
 
 
 def _kind_of(frame: Frame) -> tuple[object, ...]:
-    """Return what decides with which others a frame makes a pair: all but its colours."""
+    """Return all facts of a frame that decide with which others it makes a pair: all but its colours."""
     exposure = frame.exposure
     return frame.shape, frame.cfa, frame.black_level_dn, frame.white_level_dn, exposure.iso, exposure.exposure_s

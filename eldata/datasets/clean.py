@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeGuard
 import numpy as np
 
 from eldata.base.compiled import scratch
-from eldata.base.files import visible_below
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.catalogue import FrameFiles, find_manifests, is_manifest
@@ -20,7 +19,6 @@ from eldata.manifest.clips import moment_name
 from eldata.manifest.patterns import expand, sequence_of
 from eldata.noise.model import check_normalised
 from eldata.raw._kernels import scatter_bayer
-from eldata.raw.files import is_raw, no_raws
 from eldata.raw.levels import LEVELS, Levels, check_in_dn, packing_sites, unpack
 from eldata.raw.stated import StatedFile
 from eldata.sources.frames import Files, Frame, FrameSource, Pixels
@@ -119,7 +117,7 @@ class CleanFrames:
         if isinstance(source, FrameSource):
             self.origin, self.names = source, tuple(names)
         else:
-            self.origin, self.names = _found(source, reference)
+            self.origin, self.names = _find_frames(source, reference)
         self._kept: OrderedDict[int, Frame] = OrderedDict()
         self._opened: dict[int, Frame] = {}  # of a source that reads parts: without pixels
 
@@ -198,10 +196,10 @@ def _path_of(file: Path | StatedFile) -> Path:
     return file.path if isinstance(file, StatedFile) else file
 
 
-def _found(
+def _find_frames(
     source: Path | str | Iterable[Path | str | StatedFile], reference: str | None
 ) -> tuple[FrameSource, tuple[str, ...]]:
-    """Return where frames are read, and which they are."""
+    """Find where frames are read, and their names there."""
     if not isinstance(source, (str, Path)):
         source = places = list(source)
         if any(map(_holds_frames, places)):
@@ -224,7 +222,7 @@ class _Several:
     records: tuple[FrameRecord, ...] = ()
 
     def __init__(self, places: Iterable[Path | str | StatedFile], reference: str | None) -> None:
-        parts = [_found(place if _holds_frames(place) else (place,), reference) for place in places]
+        parts = [_find_frames(place if _holds_frames(place) else (place,), reference) for place in places]
         each = [(origin, name) for origin, names in parts for name in names]
         self.names = tuple(str(origin.path / name) if isinstance(origin, Store) else name for origin, name in each)
         check_once(self.names)
@@ -355,15 +353,15 @@ class CleanClips:
 
     def __init__(self, source: Path | str | Iterable[Path | str | CleanSource], *, levels: Levels = "metadata") -> None:
         check_choice("levels", levels, LEVELS)
-        if not isinstance(source, (str, Path)):
-            clips = [
-                CleanFrames(_frames_of(Path(clip)), levels=levels) if isinstance(clip, (str, Path)) else clip
-                for clip in source
-            ]
-        elif _is_store(source):
-            clips = list(_clips_of(Store(source), levels))
-        else:
-            clips = [CleanFrames(files, levels=levels) for files in clip_files(source)]
+        clips: list[CleanSource] = []
+        for place in [source] if isinstance(source, (str, Path)) else source:
+            if not isinstance(place, (str, Path)):
+                clips.append(place)
+            elif _is_store(place):
+                clips += _clips_of(Store(place), levels)
+            else:  # of clips that are given one by one all frames are taken
+                reference = None if place is source else "*"
+                clips += [CleanFrames(files, levels=levels) for files in clip_files(place, reference)]
         if not clips:
             raise DatasetError("no clip was given")
         self._clips: tuple[CleanSource, ...] = tuple(clips)
@@ -420,14 +418,14 @@ def clean_scenes(clean: Sequence[Path], clips: bool | None, reference: str | Non
     else:
         groups = [[file] for folder in clean for file in clean_files(folder, reference)]
     check_once([_path_of(file) for files in groups for file in files])
-    found: list[CleanScene] = []
+    scenes: list[CleanScene] = []
     folders: dict[Path, list[str]] = {}
     for number, files in enumerate(groups):
-        first = len(found)
+        first = len(scenes)
         for moment, file in enumerate(files, 1):
             scene = moment_name(f"clip-{number + 1}", moment) if clips else f"scene-{number + 1}"
-            found.append(CleanScene(len(found), file, scene, number, first, moment if clips else 0))
-            folders.setdefault(found[-1].path.parent, []).append(found[-1].path.name)
+            scenes.append(CleanScene(len(scenes), file, scene, number, first, moment if clips else 0))
+            folders.setdefault(scenes[-1].path.parent, []).append(scenes[-1].path.name)
     for folder, names in folders.items() if clips is None else ():
         # A clip's frames differ in their numbers; one stray name among them makes it no stills.
         if folder not in clean and len(names) > 1 and 3 * len(sequence_of(names).odd) < len(names):
@@ -436,7 +434,7 @@ def clean_scenes(clean: Sequence[Path], clips: bool | None, reference: str | Non
                 "stills. Say which: --clips (clips=True) draws parameters once for each folder and keeps its "
                 "frames together, --no-clips (clips=False) draws them for each frame"
             )
-    return found
+    return scenes
 
 
 def clip_files(source: Path | str, reference: str | None = None) -> list[Sequence[Path | StatedFile]]:
@@ -451,14 +449,6 @@ def clip_files(source: Path | str, reference: str | None = None) -> list[Sequenc
     for file in clean_files(source, reference):
         folders.setdefault(_path_of(file).parent, {})[_path_of(file).name] = file
     return [[files[name] for name in _in_order(folder, files)] for folder, files in sorted(folders.items())]
-
-
-def _frames_of(folder: Path) -> list[Path]:
-    names = [path.name for path in visible_below(folder, deep=False)]
-    raws = list(filter(is_raw, names))
-    if not raws:
-        raise no_raws(folder, names)
-    return [folder / name for name in _in_order(folder, raws)]
 
 
 def _clips_of(source: Store, levels: Levels) -> Iterator[CleanFrames]:

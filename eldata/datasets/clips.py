@@ -251,9 +251,9 @@ class ClipWindows(CroppedItems[ClipSample]):
                 "clip?"
             )
         if first is not None and pair.ratio != first.ratio:
-            found, wanted = (math.nan if one.ratio is None else float(one.ratio) for one in (pair, first))
+            own, wanted = (math.nan if ratio is None else float(ratio) for ratio in (pair.ratio, first.ratio))
             raise DatasetError(
-                f"{pair.input.name}: its exposure ratio is {found:g}, that of {first.input.name.rpartition('/')[2]} "
+                f"{pair.input.name}: its exposure ratio is {own:g}, that of {first.input.name.rpartition('/')[2]} "
                 f"{wanted:g}; are both frames of one clip? (eldata verify finds all such files)"
             )
         return pair

@@ -374,14 +374,14 @@ class DRVDataset(ClipWindows):
         folder = published.own_folder(root)
         if not folder.is_dir():
             raise no_folder(folder, published.card, ("VBM4D_rawRGB and long, or short and long",))
-        found: Manifest | Scan = published
+        listed: Manifest | Scan = published
         if manifest is not None and manifest != published.name:
-            found = load_manifest(manifest)
+            listed = load_manifest(manifest)
         elif form == "raw":
-            found = scan_raw(folder, reference=reference)
-        rows = [row for row in found.records if (row.split == DYNAMIC) == dynamic]
-        files = Files(FrameFiles.of(folder, found.card, rows), rows)
-        super().__init__(files, rows, found.card.subsets, folder, **options)
+            listed = scan_raw(folder, reference=reference)
+        rows = [row for row in listed.records if (row.split == DYNAMIC) == dynamic]
+        files = Files(FrameFiles.of(folder, listed.card, rows), rows)
+        super().__init__(files, rows, listed.card.subsets, folder, **options)
 
 
 SHOTS = range(10)
@@ -449,10 +449,10 @@ class CRVDDataset(ClipWindows):
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "root", "shots", "manifest")
-        found = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)
-        folder = found.own_folder(root)
-        rows = _moments(found, take_choice(options).pairs(found.records, found.card.subsets), shots)
-        files = Files(FrameFiles.of(folder, found.card, rows), rows, found.card)
+        listed = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)
+        folder = listed.own_folder(root)
+        rows = _moments(listed, take_choice(options).pairs(listed.records, listed.card.subsets), shots)
+        files = Files(FrameFiles.of(folder, listed.card, rows), rows, listed.card)
         super().__init__(files, rows, (), folder, **options)
 
 
@@ -472,10 +472,10 @@ def _moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collection[
 
 
 def _numbers(row: FrameRecord) -> tuple[int, int]:
-    found = _FRAME.fullmatch(row.path)
-    if found is None:
+    numbers = _FRAME.fullmatch(row.path)
+    if numbers is None:
         raise ManifestError(f"{row.path}: expected a name such as frame1_noisy0.tiff, whose numbers say frame and shot")
-    return int(found[1]), int(found[2])
+    return int(numbers[1]), int(numbers[2])
 
 
 # --- all datasets by name -----------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may be there or not
 import pytest
 import torch
-from torch.utils.data import DataLoader, default_collate
 
 from eldata import PackedStore, SyntheticPairs
 from eldata.datasets import CleanFrames, PairDataset
@@ -21,7 +20,6 @@ from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 from tests.sid_tree import SmallTree, build_small_tree
 from tests.sources.store.helpers import pack_folder, pack_tree, write_clean
 from tests.trees import BETA, Tree
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -97,23 +95,6 @@ def test_clean_crops_are_those_of_the_raw_files(tmp_path: Path) -> None:
 
 def some(store: Path, **options: Any) -> PackedStore:
     return PackedStore(store, **{"crop": 8, "seed": 3} | options)
-
-
-@pytest.mark.parametrize("workers", [0, 2])
-@pytest.mark.parametrize("which", ["eld", "fuji"])
-def test_batches_hold_the_items(which: str, workers: int, eld: Path, fuji: Path) -> None:
-    """Which DataLoaders ask for at once, in this process by threads; the last batch is smaller."""
-    dataset = some({"eld": eld, "fuji": fuji}[which], crops_per_frame=3)
-    dataset.set_epoch(2)
-    options: dict[str, Any] = {"batch_size": 5, "num_workers": workers, "timeout": PATIENCE_S if workers else 0}
-    wanted = [default_collate([dataset[index] for index in indices]) for indices in batched(len(dataset), 5)]
-    for batch, other in zip(DataLoader(dataset, **options), wanted, strict=True):
-        assert list(batch) == list(other)
-        same(batch, other)
-
-
-def batched(length: int, size: int) -> list[range]:
-    return [range(start, min(start + size, length)) for start in range(0, length, size)]
 
 
 # --- choices and refusals -----------------------------------------------------------------------------------------

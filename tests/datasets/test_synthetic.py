@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import hashlib
 import math
@@ -25,7 +24,6 @@ from eldata.raw.levels import pack_normalised, unpack
 from eldata.sources.frames import Frame
 from tests.cases import in_one_test
 from tests.datasets.comparing import same
-from tests.datasets.methods import FORK, workers
 from tests.evaluation.test_way_of_a_score import modules_called
 from tests.raw.helpers import (
     BAYER,
@@ -40,7 +38,6 @@ from tests.raw.helpers import (
     random_mosaic,
     start_of,
 )
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -130,23 +127,6 @@ def test_batches_hold_the_items(folder: Path) -> None:
         assert list(batch) == list(wanted)
         for key, value in wanted.items():
             assert torch.equal(batch[key], value) if isinstance(value, torch.Tensor) else batch[key] == value, key
-
-
-@pytest.mark.parametrize(
-    "method", [pytest.param("fork", marks=FORK.marks), pytest.param("spawn", marks=pytest.mark.study)]
-)
-def test_an_epoch_reaches_persistent_workers(method: str, folder: Path) -> None:
-    """Of a copy, whose epoch is not the original's."""
-    original, reference = raw_pairs(folder), raw_pairs(folder)
-    dataset = copy.deepcopy(original)
-    options: dict[str, Any] = {"multiprocessing_context": method, "persistent_workers": True, "timeout": PATIENCE_S}
-    batches = DataLoader(dataset, batch_size=None, num_workers=workers(method), **options)
-    for epoch in (0, 5, 0):
-        dataset.set_epoch(epoch)
-        reference.set_epoch(epoch)
-        for index, item in enumerate(batches):
-            same(item, reference[index])
-    assert original.epoch is None
 
 
 # --- where the pixels come from -------------------------------------------------------------------------------------

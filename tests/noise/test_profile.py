@@ -225,28 +225,6 @@ def test_lambda_and_colour_bias_come_from_one_row_and_every_row_alike(
     assert abs(np.corrcoef(rows, log_gains(draws))[0, 1]) < 5 * MEAN_ERROR
 
 
-@pytest.mark.parametrize("name", ["NikonD850", "SonyA7S2"])
-def test_nearest_gain_takes_only_the_rows_that_are_nearest(name: str) -> None:
-    profile = CameraProfile.load(name)
-    index = row_index(profile)
-    generator = np.random.default_rng(21)
-    seen = set()
-    for _ in range(500):
-        draw = profile.sample(generator, row="nearest-gain")
-        distance = [abs(math.log((row.gain_dn_per_e or math.nan) / draw.gain_dn_per_e)) for row in profile.rows]
-        numbers = index[draw.tukey_lambda, draw.colour_bias_dn]
-        assert min(distance[number] for number in numbers) == pytest.approx(min(distance), abs=1e-9)
-        seen.update(numbers)
-    # The rows' gains lie at equal distances in ln K, so each is drawn: at least once in 500 (the outermost ones have
-    # half the weight of the others, 1/28 for two rows each: missed with probability 1e-8).
-    inside = {
-        number
-        for number, row in enumerate(profile.rows)
-        if (row.gain_dn_per_e or math.inf) <= profile.gain_range_dn_per_e[1] * 1.0001
-    }
-    assert seen >= inside
-
-
 @pytest.mark.parametrize("row", ["any", "nearest-gain"])
 @BOTH
 def test_a_frame_of_the_drawn_row_gives_the_colour_bias(make: Callable[[int], Generator], row: RowChoice) -> None:

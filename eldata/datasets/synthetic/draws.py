@@ -169,14 +169,16 @@ def _load_profiles(cameras: Any) -> tuple[CameraProfile, ...]:
     """Load one profile or several, each given by name, by path or itself."""
     if isinstance(cameras, (str, Path, CameraProfile)):
         cameras = [cameras]
-    if not isinstance(cameras, Sequence) or not all(isinstance(one, (str, Path, CameraProfile)) for one in cameras):
+    if not isinstance(cameras, Sequence) or not all(
+        isinstance(camera, (str, Path, CameraProfile)) for camera in cameras
+    ):
         raise ArgumentError(
             f"expected a camera profile or several: each a shipped one's name, a path or a CameraProfile; found "
             f"{cameras!r:.100}"
         )
     if not cameras:
         raise ArgumentError("give at least one camera profile")
-    return tuple(one if isinstance(one, CameraProfile) else CameraProfile.load(one) for one in cameras)
+    return tuple(camera if isinstance(camera, CameraProfile) else CameraProfile.load(camera) for camera in cameras)
 
 
 # --- turns ------------------------------------------------------------------------------------------------------------

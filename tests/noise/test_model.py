@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -209,23 +208,6 @@ def test_what_a_call_refuses(given: dict[str, Any], said: str) -> None:
 def test_what_a_model_refuses(given: dict[str, Any], said: str) -> None:
     with pytest.raises(ArgumentError, match=said):
         NoiseModel(**given)
-
-
-# --- the object -----------------------------------------------------------------------------------------------------
-
-
-def test_the_repr_rebuilds_the_model() -> None:
-    for model in (
-        NoiseModel(),
-        NoiseModel(clip="none"),
-        NoiseModel("R + P", clip="upper"),
-        NoiseModel("P*", adc=Adc(512.0, 16383.0)),
-    ):
-        again = eval(repr(model), {"NoiseModel": NoiseModel, "Adc": Adc})  # noqa: S307 - our own text
-        assert (again.components, again.clip, again.adc) == (model.components, model.clip, model.adc)
-    same_bits(noisy(FLAT, model=pickle.loads(pickle.dumps(model))), noisy(FLAT, model=model))
-    assert repr(NoiseModel()) == "NoiseModel('P*+G*+B+R+U')"
-    assert repr(NoiseModel(clip="upper").with_clip("none")) == "NoiseModel('P*+G*+B+R+U', clip='none')"
 
 
 # --- memory of the caller's -----------------------------------------------------------------------------------------

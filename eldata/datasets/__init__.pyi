@@ -1,6 +1,7 @@
 from .base import PairDataset as PairDataset
 from .base import SourcePairs as SourcePairs
 from .calibration_frames import CalibrationFrames as CalibrationFrames
+from .clean import Arrays as Arrays
 from .clean import CleanClips as CleanClips
 from .clean import CleanFrames as CleanFrames
 from .clean import CleanSource as CleanSource
@@ -10,6 +11,7 @@ from .loading import describe as describe
 from .loading import evaluation_loader as evaluation_loader
 from .loading import set_epoch as set_epoch
 from .loading import training_loader as training_loader
+from .packed import Noise2Noise as Noise2Noise
 from .packed import PackedClips as PackedClips
 from .packed import PackedStore as PackedStore
 from .published import CRVDDataset as CRVDDataset
@@ -25,8 +27,6 @@ from .published import open_dataset as open_dataset
 from .rgb import StagedPairs as StagedPairs
 from .rgb import raw2rgb as raw2rgb
 from .rgb import rgb2rgb as rgb2rgb
-from .synthetic.arrays import Arrays as Arrays
 from .synthetic.dark_frames import DarkFrames as DarkFrames
 from .synthetic.pairs import SyntheticClips as SyntheticClips
 from .synthetic.pairs import SyntheticPairs as SyntheticPairs
-from .views import Noise2Noise as Noise2Noise

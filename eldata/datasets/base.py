@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
 
 from eldata.base.tables import frame_of
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, DrawnItem, Part, shading_text
-from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest
-from eldata.manifest.pairs import Choice
+from eldata.datasets.items import CroppedItems, DrawnItem, Part, keywords_of, take_choice
+from eldata.manifest.catalogue import FrameFiles, is_name, known_manifest, load_manifest
 from eldata.protocols.named import default_protocol
 from eldata.records import Records
 from eldata.sources.frames import Files
@@ -179,16 +178,14 @@ class SourcePairs(CroppedItems[Sample]):
         return self.__dict__ | {"_pairs": {}}  # each process opens those that it reads
 
     def _outline(self) -> list[tuple[str, str]]:
-        """Return what the dataset is, as names and values."""
         scenes = len({(record.camera, record.scene) for record in self.records})
         named = (("cameras", "camera"), ("splits", "split"), ("ISO", "iso"), ("ratios", "ratio"))
-        crop = "whole frames" if self.crop is None else f"{self.crop} x {self.crop}"
         return [
             ("place", self._place()),
             ("pairs", f"{len(self.records)} of {scenes} scenes"),
             *((name, self._values(field)) for name, field in named),
-            ("values", f"levels {self.levels}, clip {self.clip}, amplification {self.amplification}"),
-            ("items", f"{len(self)}, {crop}{', turned' if self.augment else ''}"),
+            ("values", self._describe_values()),
+            *super()._outline(),
         ]
 
     def _values(self, field: str) -> str:
@@ -196,20 +193,6 @@ class SourcePairs(CroppedItems[Sample]):
         distinct = dict.fromkeys(getattr(record, field) for record in self.records)
         texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]
         return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)} values"
-
-    def __repr__(self) -> str:
-        counted = self._values
-        cropped = self.crop is not None or self.augment or self.crops_per_frame > 1
-        return (
-            f"{type(self).__name__}({self._place()!r}, {len(self.records)} pairs, "
-            f"cameras: {counted('camera')}; "
-            f"{len({(r.camera, r.scene) for r in self.records})} scenes; "
-            f"splits {counted('split')}; ISO {counted('iso')}; ratios {counted('ratio')}; "
-            f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r}"
-            + shading_text(self.dark_shading)
-            + (f", {self._cut}, crops_per_frame={self.crops_per_frame}, seed={self.seed}" if cropped else "")
-            + ")"
-        )
 
     def _place(self) -> str:
         return self.name
@@ -294,29 +277,19 @@ class PairDataset(SourcePairs):
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
         seed: int = 0,
     ) -> None:  # fmt: skip
-        loaded = _manifest(manifest)
+        options = keywords_of(locals(), "root", "manifest")
+        loaded = known_manifest(str(manifest)) if is_name(manifest) else load_manifest(manifest)
         self.root = loaded.own_folder(root)
-        choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
-        records = choice.pairs(loaded.records, loaded.card.subsets)
-        files = FrameFiles.of(self.root, loaded.card, loaded.records)
-        super().__init__(
-            Files(files, loaded.records, loaded.card), records, name=loaded.name,
-            levels=levels or default_protocol(loaded.card).frame_levels, clip=clip, amplification=amplification,
-            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, crops_per_frame=crops_per_frame,
-            seed=seed,
-        )  # fmt: skip
+        records = take_choice(options).pairs(loaded.records, loaded.card.subsets)
+        files = Files(FrameFiles.of(self.root, loaded.card, loaded.records), loaded.records, loaded.card)
+        options["levels"] = levels or default_protocol(loaded.card).frame_levels
+        super().__init__(files, records, name=loaded.name, **options)
 
     def _place(self) -> str:
         return str(self.root)
 
 
-def _manifest(manifest: Path | str) -> Manifest:
-    if isinstance(manifest, str) and "/" not in manifest and not manifest.endswith(".csv"):
-        return known_manifest(manifest)
-    return load_manifest(manifest)
-
-
 def _kind_of(frame: Frame) -> tuple[object, ...]:
-    """Return what decides with which others a frame makes a pair: all but its colours."""
+    """Return all facts of a frame that decide with which others it makes a pair: all but its colours."""
     exposure = frame.exposure
     return frame.shape, frame.cfa, frame.black_level_dn, frame.white_level_dn, exposure.iso, exposure.exposure_s

@@ -57,15 +57,15 @@ class Field(NamedTuple):
 
 
 def threads_here() -> int | None:
-    """Return how many threads make a batch, as :func:`eldata.base.compiled.in_threads` takes them: one in a worker.
+    """Choose the number of threads that make a batch, as :func:`eldata.base.compiled.in_threads` takes them.
 
-    The workers share the CPUs already.
+    One in a worker: the workers share the CPUs already.
     """
     return None if get_worker_info() is None else 1
 
 
 def reading_threads(samples: int, values: int) -> int:
-    """Return how many threads read some samples of a store, as :func:`eldata.base.compiled.in_threads` takes them.
+    """Choose the number of threads that read samples of a store, as :func:`eldata.base.compiled.in_threads` takes them.
 
     More of them wait for Python's lock, and of a compressed store for HDF5's: measured on four cores, one is the
     fastest for a sample and two for a batch of eight. Where a sample has few ``values``, there is little else than that
@@ -127,7 +127,7 @@ class _Part(dict[str, Any]):
         return dict, (dict(self),)
 
     def is_whole(self) -> bool:
-        """Return whether nobody has replaced a view by another tensor."""
+        """Tell whether nobody has replaced a view by another tensor."""
         return all(self.get(name) is view for name, view in self.views.items())
 
 
@@ -225,13 +225,13 @@ class _Piece:
         return mmap.mmap(-1, self.size, **private)
 
     def lease(self) -> _Lease:
-        """Return what keeps this piece, which must be free, from being used again."""
+        """Lease this piece, which must be free: it is not used again while the lease lives."""
         lease = _Lease(self._memory)
         self._lease = weakref.ref(lease)
         return lease
 
     def is_free(self) -> bool:
-        """Return whether no array on it is left."""
+        """Tell whether no array on it is left."""
         return self._lease is None or self._lease() is None
 
 
@@ -259,7 +259,7 @@ class _SharedPiece(_Piece):
         return DupFd(self._descriptor)
 
     def is_free(self) -> bool:
-        """Return whether no array on it is left, here or there."""
+        """Tell whether no array on it is left, here or there."""
         times_returned = int(np.frombuffer(self._memory, np.int64, 1)[0])
         return super().is_free() and times_returned == self._times_sent
 

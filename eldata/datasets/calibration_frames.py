@@ -110,21 +110,21 @@ class CalibrationFrames:
         if manifest is not None:
             loaded = known_manifest(str(manifest)) if is_name(manifest) else load_manifest(manifest)
             self.root = loaded.own_folder(root)
-            found = tuple(
+            records = tuple(
                 record
                 for record in expand(loaded.records, self.root)
                 if record.role in _ROLES and WARM_SENSOR not in record.flags
             )
-            self.camera = chosen_camera(camera, {record.camera for record in found}, str(loaded.path))
-            stated = FrameFiles.of(self.root, loaded.card, found)
-            found = tuple(record for record in found if record.camera == self.camera)
-            for record in found:
+            self.camera = chosen_camera(camera, {record.camera for record in records}, str(loaded.path))
+            stated = FrameFiles.of(self.root, loaded.card, records)
+            records = tuple(record for record in records if record.camera == self.camera)
+            for record in records:
                 if record.iso is None:
                     raise DatasetError(f"{loaded.path}, {record.path}: a calibration frame's row needs its ISO")
         else:
             self.root = data_root() / _FOLDER if root is None else Path(root)
-            self.camera, found, self.skipped = _from_folders(self.root, camera)
-        self.records = _of_isos(found, isos)
+            self.camera, records, self.skipped = _from_folders(self.root, camera)
+        self.records = _of_isos(records, isos)
         self._files = stated or FrameFiles(self.root)
 
     @property
@@ -137,7 +137,7 @@ class CalibrationFrames:
         return tuple(record for record in self.records if record.role == role and record.iso == iso)
 
     def path(self, record: FrameRecord) -> Path:
-        """Return where a frame's file lies.
+        """Return the path of a frame's file.
 
         Raises
         ------
@@ -151,7 +151,7 @@ class CalibrationFrames:
         return replace(self._files, folder=self.root).at(record.path)
 
     def header(self, record: FrameRecord) -> RawHeader:
-        """Return what one frame's file states of itself; raises like :meth:`read`."""
+        """Read the header of one frame's file; raises like :meth:`read`."""
         from eldata.raw.reading import read_header
 
         return read_header(self.file(record))

@@ -4,25 +4,35 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import replace
+from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeGuard
 
-from eldata.base.files import visible_below
+import numpy as np
+
+from eldata.base.compiled import scratch
+from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.catalogue import FrameFiles, find_manifests, is_manifest
 from eldata.manifest.clips import moment_name
 from eldata.manifest.own import clean_raws
 from eldata.manifest.patterns import expand, sequence_of
-from eldata.raw.files import is_raw, no_raws
-from eldata.raw.levels import LEVELS, Levels, check_in_dn
+from eldata.noise.model import check_normalised
+from eldata.raw._kernels import scatter_bayer
+from eldata.raw.levels import LEVELS, Levels, check_in_dn, packing_sites, unpack
 from eldata.raw.stated import StatedFile
-from eldata.sources.frames import Files, Frame, FrameSource
+from eldata.sources.frames import Files, Frame, FrameSource, Pixels
 from eldata.sources.store.read import SUFFIXES, Store
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from numpy.typing import NDArray
+
+    from eldata.raw.levels import CfaRows
     from eldata.records import FrameRecord
+
+_BAYER: CfaRows = ((0, 1), (3, 2))
 
 
 class CleanSource(Protocol):
@@ -107,7 +117,7 @@ class CleanFrames:
         if isinstance(source, FrameSource):
             self.origin, self.names = source, tuple(names)
         else:
-            self.origin, self.names = _found(source, reference)
+            self.origin, self.names = _find_frames(source, reference)
         self._kept: OrderedDict[int, Frame] = OrderedDict()
         self._opened: dict[int, Frame] = {}  # of a source that reads parts: without pixels
 
@@ -186,10 +196,10 @@ def _path_of(file: Path | StatedFile) -> Path:
     return file.path if isinstance(file, StatedFile) else file
 
 
-def _found(
+def _find_frames(
     source: Path | str | Iterable[Path | str | StatedFile], reference: str | None
 ) -> tuple[FrameSource, tuple[str, ...]]:
-    """Return where frames are read, and which they are."""
+    """Find where frames are read, and their names there."""
     if not isinstance(source, (str, Path)):
         source = places = list(source)
         if any(map(_holds_frames, places)):
@@ -212,7 +222,7 @@ class _Several:
     records: tuple[FrameRecord, ...] = ()
 
     def __init__(self, places: Iterable[Path | str | StatedFile], reference: str | None) -> None:
-        parts = [_found(place if _holds_frames(place) else (place,), reference) for place in places]
+        parts = [_find_frames(place if _holds_frames(place) else (place,), reference) for place in places]
         each = [(origin, name) for origin, names in parts for name in names]
         self.names = tuple(str(origin.path / name) if isinstance(origin, Store) else name for origin, name in each)
         check_once(self.names)
@@ -240,6 +250,76 @@ def _is_store(source: Path | str) -> bool:
     return Path(source).suffix.lower() in SUFFIXES
 
 
+class Arrays:
+    """Clean frames from packed, normalised arrays (C, h, w) in memory (or memory-mapped).
+
+    Parameters
+    ----------
+    arrays
+        One array per frame, or one array (N, C, h, w).
+    range_dn
+        White minus black level of the camera that is simulated, DN.
+    cfa
+        Their CFA; by default RGGB.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.datasets import Arrays
+    >>> len(Arrays(np.zeros((3, 4, 64, 64), np.float32), range_dn=15871.0))
+    3
+    """
+
+    reads_parts = True
+
+    def __init__(
+        self, arrays: Sequence[NDArray[Any]] | NDArray[Any], *, range_dn: float, cfa: CfaRows = _BAYER
+    ) -> None:
+        if len(arrays) == 0:
+            raise ArgumentError("no array was given")
+        self.arrays = arrays
+        self.range_dn = checked_number("range_dn", range_dn, above=0)
+        self._sites = packing_sites(cfa)  # packed data starts where packing does, whatever the offset of its sensor
+        self._black_level_dn = (0.0,) * self._sites.levels
+        self.cfa = cfa
+        check_normalised(np.asarray(arrays[0]), "array 0")
+
+    def __len__(self) -> int:
+        return len(self.arrays)
+
+    def frame(self, index: int) -> Frame:
+        """Return one array as a mosaic."""
+        packed, name, sites = np.asarray(self.arrays[index]), f"array {index}", self._sites
+        check_normalised(packed, name)
+        if packed.ndim != 3 or len(packed) != sites.channels or any(side % sites.sub for side in packed.shape[1:]):
+            unpack(packed, sites.cfa)  # raises, saying what is expected
+        shape = packed.shape[1] * sites.scale, packed.shape[2] * sites.scale
+        mosaic = Pixels(shape, np.dtype(np.float32), partial(self._read, packed))
+        return Frame(mosaic, sites.cfa, self._black_level_dn, self.range_dn, name)
+
+    def _read(self, packed: NDArray[Any], rows: slice, columns: slice) -> NDArray[np.float32]:
+        """Return a part of a mosaic, in DN, put together in memory that the next call of this thread overwrites."""
+        sites, range_dn = self._sites, np.float32(self.range_dn)
+        period, scale = sites.period, sites.scale
+        top, bottom, _ = rows.indices(packed.shape[1] * scale)
+        left, right, _ = columns.indices(packed.shape[2] * scale)
+        above, before = top % period, left % period  # of the periods that hold it
+        height, width = above + bottom - top, before + right - left
+        height, width = height + -height % period, width + -width % period
+        row, column = (top - above) // scale, (left - before) // scale
+        if period == 2 and packed.dtype == np.float32:
+            whole: NDArray[np.float32] = scratch("unpacked", (height, width), range_dn.dtype)
+            scatter_bayer(packed, row, column, sites.channel_of, range_dn, whole)
+        else:
+            periods = packed[:, row : row + height // scale, column : column + width // scale]
+            whole = unpack(periods.astype(np.float32, copy=False), sites.cfa)
+            whole *= range_dn
+        return whole[above : above + bottom - top, before : before + right - left]
+
+    def __repr__(self) -> str:
+        return f"Arrays({len(self)} frames of shape {self.arrays[0].shape}, range_dn={self.range_dn:g})"
+
+
 class CleanClips:
     """Clean clips by their number, for :class:`~eldata.datasets.synthetic.pairs.SyntheticClips`.
 
@@ -249,7 +329,7 @@ class CleanClips:
         A folder, or a store of it (``eldata pack FOLDER``): each folder at any depth below it that holds camera raws is
         a clip, in the order of the numbers in their names; of a manifest each folder that holds references. Or clips
         one by one: such folders, or :class:`CleanFrames`,
-        :class:`~eldata.datasets.synthetic.arrays.Arrays` and the like in the order of time.
+        :class:`~eldata.datasets.clean.Arrays` and the like in the order of time.
     levels
         Of folders and stores, as in :class:`CleanFrames`.
 
@@ -273,15 +353,15 @@ class CleanClips:
 
     def __init__(self, source: Path | str | Iterable[Path | str | CleanSource], *, levels: Levels = "metadata") -> None:
         check_choice("levels", levels, LEVELS)
-        if not isinstance(source, (str, Path)):
-            clips = [
-                CleanFrames(_frames_of(Path(clip)), levels=levels) if isinstance(clip, (str, Path)) else clip
-                for clip in source
-            ]
-        elif _is_store(source):
-            clips = list(_clips_of(Store(source), levels))
-        else:
-            clips = [CleanFrames(files, levels=levels) for files in clip_files(source)]
+        clips: list[CleanSource] = []
+        for place in [source] if isinstance(source, (str, Path)) else source:
+            if not isinstance(place, (str, Path)):
+                clips.append(place)
+            elif _is_store(place):
+                clips += _clips_of(Store(place), levels)
+            else:  # of clips that are given one by one all frames are taken
+                reference = None if place is source else "*"
+                clips += [CleanFrames(files, levels=levels) for files in clip_files(place, reference)]
         if not clips:
             raise DatasetError("no clip was given")
         self._clips: tuple[CleanSource, ...] = tuple(clips)
@@ -338,14 +418,14 @@ def clean_scenes(clean: Sequence[Path], clips: bool | None, reference: str | Non
     else:
         groups = [[file] for folder in clean for file in clean_files(folder, reference)]
     check_once([_path_of(file) for files in groups for file in files])
-    found: list[CleanScene] = []
+    scenes: list[CleanScene] = []
     folders: dict[Path, list[str]] = {}
     for number, files in enumerate(groups):
-        first = len(found)
+        first = len(scenes)
         for moment, file in enumerate(files, 1):
             scene = moment_name(f"clip-{number + 1}", moment) if clips else f"scene-{number + 1}"
-            found.append(CleanScene(len(found), file, scene, number, first, moment if clips else 0))
-            folders.setdefault(found[-1].path.parent, []).append(found[-1].path.name)
+            scenes.append(CleanScene(len(scenes), file, scene, number, first, moment if clips else 0))
+            folders.setdefault(scenes[-1].path.parent, []).append(scenes[-1].path.name)
     for folder, names in folders.items() if clips is None else ():
         # A clip's frames differ in their numbers; one stray name among them makes it no stills.
         if folder not in clean and len(names) > 1 and 3 * len(sequence_of(names).odd) < len(names):
@@ -354,7 +434,7 @@ def clean_scenes(clean: Sequence[Path], clips: bool | None, reference: str | Non
                 "stills. Say which: --clips (clips=True) draws parameters once for each folder and keeps its "
                 "frames together, --no-clips (clips=False) draws them for each frame"
             )
-    return found
+    return scenes
 
 
 def clip_files(source: Path | str, reference: str | None = None) -> list[Sequence[Path | StatedFile]]:
@@ -369,14 +449,6 @@ def clip_files(source: Path | str, reference: str | None = None) -> list[Sequenc
     for file in clean_files(source, reference):
         folders.setdefault(_path_of(file).parent, {})[_path_of(file).name] = file
     return [[files[name] for name in _in_order(folder, files)] for folder, files in sorted(folders.items())]
-
-
-def _frames_of(folder: Path) -> list[Path]:
-    names = [path.name for path in visible_below(folder, deep=False)]
-    raws = list(filter(is_raw, names))
-    if not raws:
-        raise no_raws(folder, names)
-    return [folder / name for name in _in_order(folder, raws)]
 
 
 def _clips_of(source: Store, levels: Levels) -> Iterator[CleanFrames]:

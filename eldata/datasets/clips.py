@@ -8,7 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, DrawnItem, Part, shading_text
+from eldata.datasets.items import CroppedItems, DrawnItem, Part
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.layouts import describe_layout
@@ -251,30 +251,22 @@ class ClipWindows(CroppedItems[ClipSample]):
                 "clip?"
             )
         if first is not None and pair.ratio != first.ratio:
-            found, wanted = (math.nan if one.ratio is None else float(one.ratio) for one in (pair, first))
+            own, wanted = (math.nan if ratio is None else float(ratio) for ratio in (pair.ratio, first.ratio))
             raise DatasetError(
-                f"{pair.input.name}: its exposure ratio is {found:g}, that of {first.input.name.rpartition('/')[2]} "
+                f"{pair.input.name}: its exposure ratio is {own:g}, that of {first.input.name.rpartition('/')[2]} "
                 f"{wanted:g}; are both frames of one clip? (eldata verify finds all such files)"
             )
         return pair
 
+    @property
+    def _cut(self) -> str:
+        return super()._cut if self.region is None else f"region={self.region}"
+
     def _outline(self) -> list[tuple[str, str]]:
-        """Return what the dataset is, as names and values."""
         return [
             ("place", str(self.root)),
             ("clips", self._text),
             ("files", self.layout),
-            ("values", f"levels {self.levels}, clip {self.clip}, amplification {self.amplification}"),
-            ("items", str(len(self))),
+            ("values", self._describe_values()),
+            *super()._outline(),
         ]
-
-    def __repr__(self) -> str:
-        part = f"region={self.region}"
-        if self.region is None:
-            part = self._cut
-        return (
-            f"{type(self).__name__}({str(self.root)!r}, {self._text}; {part}, "
-            f"crops_per_window={self.crops_per_window}, seed={self.seed}, levels={self.levels!r}, "
-            f"clip={self.clip!r}, amplification={self.amplification!r}{shading_text(self.dark_shading)}; "
-            f"found: {self.layout})"
-        )

@@ -120,7 +120,9 @@ def _offset(cfa: CfaRows, orientation: Orientation) -> tuple[int, int]:
 Region = tuple[int, int, int, int]
 
 _NO_CFA: CfaRows = ((0,),)
-_TURNED = {one: one for one in (np.dtype(np.uint16), np.dtype(np.float32))}  # DN; simulated, or less a dark shading
+_TURNED = {
+    dtype: dtype for dtype in (np.dtype(np.uint16), np.dtype(np.float32))
+}  # DN; simulated, or less a dark shading
 _AS_IT_IS = Orientation()
 
 
@@ -197,7 +199,7 @@ class Crop:
 
     @classmethod
     def count_tiles(cls, frame: Frame, *, crop: int, augment: bool) -> int:
-        """Return how many crops lie side by side in a frame, from its first row and column on.
+        """Count the crops that lie side by side in a frame, from its first row and column on.
 
         What is left over at the bottom and at the right, less than a crop and with ``augment`` one period of the CFA,
         is in none. Raises like :meth:`draw`.
@@ -229,7 +231,7 @@ class Crop:
         return cls(place, cfa, _AS_IT_IS, height, width)
 
     def place(self, frame: Frame, what: str) -> tuple[int, int]:
-        """Return where what is not turned, and as large as the turned crop, begins in the packed mosaic, (top, left).
+        """Find the (top, left) in the packed mosaic of a part that is not turned and as large as the turned crop.
 
         Raises
         ------

@@ -7,41 +7,46 @@ again, one by one or as whole batches.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from bisect import bisect_right
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import accumulate
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar, get_args
 
+import numpy as np
 import torch
 from torch.utils.data import Dataset
 
 from eldata.base.compiled import in_threads
 from eldata.base.seeds import checked_epoch, checked_seed, item_generator
+from eldata.base.visible import in_line
 from eldata.datasets.batches import Batch, Field, new_arrays, new_batch, reading_threads
 from eldata.datasets.crops import Crop
-from eldata.errors import ArgumentError, check_choice
+from eldata.errors import ArgumentError, EldataError, check_choice
+from eldata.manifest.pairs import Choice
 from eldata.noise.dark_shading import DarkShading
 from eldata.protocols.protocol import Amplification
 from eldata.raw.levels import CLIP_RANGES, FRAME_LEVELS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from eldata.plots.axes import Drawing
+    from eldata.plots.pictures import Panel
     from eldata.raw.levels import Clip, FrameLevels
     from eldata.records import Sensor
     from eldata.sources.frames import Frame
 
 
 Crops = Literal["random", "grid"]
+_THUMBNAIL = 220  # columns or rows
 
 
 _keeps_counts = ContextVar("_keeps_counts", default=False)
@@ -89,6 +94,16 @@ class SharedDraws:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._memory.share_memory_()  # a copy has memory of its own, which its workers share again
+
+
+def keywords_of(arguments: Mapping[str, Any], *own: str) -> dict[str, Any]:
+    """Collect a constructor's arguments, its first line's ``locals()``, for its base's: all but its ``own``."""
+    return {name: value for name, value in arguments.items() if name not in ("self", "__class__", *own)}
+
+
+def take_choice(options: dict[str, Any]) -> Choice:
+    """Take the keywords that choose pairs or clips out of others."""
+    return Choice(**{field.name: options.pop(field.name) for field in fields(Choice)})
 
 
 def checked_index(index: int, length: int) -> int:
@@ -162,6 +177,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
 
     clip: Clip = "both"
     source: Any = None
+    _unit = "items"
 
     def __init__(self, crop: int | None, augment: bool, crops: Crops, seed: int, repeats: tuple[str, int]) -> None:
         name, number = repeats
@@ -176,7 +192,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
             )
         self.crop, self.augment = crop, augment
         self.crops: Crops = crops
-        self._repeats = number
+        self._repeats, self._repeats_name = number, name
         self._starts: list[int] | None = None  # of a grid: the first item of each record, and their number
 
     def _choose_values(
@@ -249,7 +265,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
 
     @property
     def _cut(self) -> str:
-        """The choice of crops, as a repr says it."""
+        """The choice of crops, in words."""
         grid = f", crops={self.crops!r}" if self._starts is not None else ""
         return f"crop={self.crop}, augment={self.augment}{grid}"
 
@@ -303,18 +319,25 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         IndexError, FileError, DatasetError
             Like ``dataset[index]``.
         """
-        from eldata.datasets.looking import drawn_sample
+        from eldata.plots.pictures import side_by_side
 
-        return drawn_sample(*self._seen(index))
+        sample, sensor = self._seen(index)
+        return side_by_side(describe_sample(sample), render_sample(sample, sensor))
 
     def _outline(self) -> list[tuple[str, str]]:
-        """Return what the dataset is, as names and values, for a notebook."""
-        return [("items", str(len(self)))]
+        """Describe the dataset by names and values: all that its items depend on, for a repr is known again."""
+        repeats = f"{self._repeats_name}={self._repeats}"
+        return [("items", f"{len(self)} {self._unit}, {self._cut}, {repeats}, seed={self.seed}")]
+
+    def _describe_values(self) -> str:
+        shading = "" if self.dark_shading is None else f", dark_shading={self.dark_shading.digest[:15]}"
+        return f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r}{shading}"
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({in_line('; '.join(f'{name}: {text}' for name, text in self._outline()))})"
 
     def _repr_html_(self) -> str:
-        from eldata.datasets.looking import shown_dataset
-
-        return shown_dataset(type(self).__name__, self._outline(), self._seen if len(self) else None)
+        return show_dataset(type(self).__name__, self._outline(), self._seen if len(self) else None)
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[index] for index in range(len(self)))
@@ -383,6 +406,67 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         self._finish(items, arrays)
 
 
-def shading_text(shading: DarkShading | None) -> str:
-    """Return what a repr says of a dark shading; nothing if there is none."""
-    return "" if shading is None else f", dark_shading={shading.digest[:15]}"
+# --- items to be looked at --------------------------------------------------------------------------------------------
+
+
+def describe_sample(sample: Mapping[str, Any]) -> str:
+    """Describe a sample: camera, scene, ISO, ratio and files."""
+    facts = [str(sample[name]) for name in ("camera", "scene") if sample.get(name)]
+    for name, form in (("iso", "ISO {:g}"), ("ratio", "×{:g}"), ("start", "frame {:g}")):
+        value = sample.get(name)
+        if value is not None and math.isfinite(value) and (value > 0 or name == "start"):
+            facts.append(form.format(value))
+    return "\n".join(text for text in (", ".join(facts), str(sample.get("path", ""))) if text)
+
+
+def render_sample(sample: Mapping[str, Any], sensor: Sensor | None) -> list[Panel]:
+    """Return the pictures of a sample: its input, its target if it has one, and the error between them.
+
+    Of a window of frames the first one is shown. Both sides are multiplied by the same number, which makes a dark
+    target visible; the error is the mean over channels of the absolute difference, in the sample's own units.
+    """
+    from eldata.isp.preview import brightening
+
+    sides = {name: _first(np.asarray(sample[name])) for name in ("input", "target") if name in sample}
+    brighter = brightening(sides.get("target", sides["input"]))
+    more = "" if brighter == 1 else f", {brighter:g} times as bright"
+    ratio = sample.get("ratio", 1.0)
+    names = {"input": f"input ×{ratio:g}" if math.isfinite(ratio) and ratio != 1 else "input", "target": "target"}
+    panels: list[Panel] = [(names[side] + more, _rendered(array * brighter, sensor)) for side, array in sides.items()]
+    if len(sides) == 2 and sides["input"].shape == sides["target"].shape:
+        panels.append(("absolute error, mean of channels", np.abs(sides["input"] - sides["target"]).mean(axis=0)))
+    return panels
+
+
+def show_dataset(
+    name: str, outline: Sequence[tuple[str, str]], seen: Callable[[], tuple[dict[str, Any], Sensor | None]] | None
+) -> str:
+    """Return a dataset as a notebook shows it: what it is, and its first item in small, or why that cannot be read."""
+    from eldata.base.tables import block, facts, picture
+    from eldata.plots.pictures import thumbnail
+
+    parts, notes = [facts(outline)], []
+    try:
+        if seen is not None:
+            sample, sensor = seen()
+            panels = [panel for panel in render_sample(sample, sensor) if panel[1].ndim == 3]
+            parts += [picture(thumbnail(pixels, _THUMBNAIL), text) for text, pixels in panels]
+            notes = [f"first item: {line}" for line in describe_sample(sample).splitlines()[:1]]
+    except (EldataError, OSError) as error:
+        notes = [f"the first item cannot be shown: {error}"]
+    return block(name, *parts, notes=notes)
+
+
+def _first(array: NDArray[Any]) -> NDArray[Any]:
+    """Return (C, h, w) as it is, and of (T, C, h, w) the first frame."""
+    return array if array.ndim == 3 else array[0]
+
+
+def _rendered(values: NDArray[Any], sensor: Sensor | None) -> NDArray[np.uint8]:
+    """Return (C, h, w) as 8-bit colours: packed raw as a quick rendering, three colours as they are."""
+    if len(values) != 3:
+        from eldata.isp.preview import preview
+
+        return preview(values, sensor)
+    colours: NDArray[np.uint8] = np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8)
+    return colours.transpose(1, 2, 0)

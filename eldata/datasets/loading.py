@@ -120,7 +120,7 @@ def evaluation_loader(
 
 
 def describe(loader: DataLoader[Any]) -> str:
-    """Return what was chosen for a loader, and why, one setting per line.
+    """Describe the settings of a loader and the reasons for them, one setting per line.
 
     Raises
     ------
@@ -452,7 +452,7 @@ def loader_workers(batch_bytes: int, prefetch: int, start_method: StartMethod, r
 
 
 def usable_cpus() -> int:
-    """Return how many CPUs this process may use: its affinity, and the quota of its control group."""
+    """Count the CPUs that this process may use: its affinity, and the quota of its control group."""
     cpus = available_threads()
     quota, _, period = _text(_CGROUP / "cpu.max").partition(" ")
     if quota.isdecimal() and period.isdecimal() and int(period) > 0:

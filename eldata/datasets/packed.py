@@ -1,14 +1,15 @@
-"""Pairs and clips of a store: random crops, equal to the files' to the bit."""
+"""Pairs and clips of a store: random crops, equal to the files' to the bit; and pairs of two noisy frames."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import no_search_for_cycles
-from eldata.datasets.base import SourcePairs
+from eldata.datasets.base import Sample, SourcePairs
 from eldata.datasets.clips import ClipWindows
-from eldata.errors import DatasetError
-from eldata.manifest.pairs import Choice
+from eldata.datasets.items import CroppedItems, SharedDraws, keywords_of, take_choice
+from eldata.errors import ArgumentError, DatasetError
 from eldata.sources.store.read import Store
 
 if TYPE_CHECKING:
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
     from fractions import Fraction
     from pathlib import Path
 
+    import numpy as np
+
     from eldata.datasets.crops import Region
-    from eldata.datasets.items import Crops
+    from eldata.datasets.items import Crops, DrawnItem
     from eldata.manifest.clips import FrameRange
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
@@ -75,14 +78,11 @@ class PackedStore(SourcePairs):
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", crops_per_frame: int = 1,
         seed: int = 0,
     ) -> None:  # fmt: skip
-        choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
+        options = keywords_of(locals(), "path")
         with no_search_for_cycles():
             source = Store(path)
-            super().__init__(
-                source, source.pairs(choice), name=source.dataset,
-                levels=levels or source.levels, clip=clip, amplification=amplification, dark_shading=dark_shading,
-                crop=crop, augment=augment, crops=crops, crops_per_frame=crops_per_frame, seed=seed,
-            )  # fmt: skip
+            options["levels"] = levels or source.levels
+            super().__init__(source, source.pairs(take_choice(options)), name=source.dataset, **options)
 
     def _place(self) -> str:
         return str(self.source.path)
@@ -128,7 +128,7 @@ class PackedClips(ClipWindows):
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
-        source = Store(path)
+        options, source = keywords_of(locals(), "path"), Store(path)
         if source.manifest is None:
             raise DatasetError(f"{source.path}: holds clean frames, not clips; read it with CleanFrames or CleanClips")
         noisy = [row for row in source.manifest.records if row.role == "noisy"]
@@ -139,11 +139,67 @@ class PackedClips(ClipWindows):
             what = "without" if dynamic else "with"
             raise DatasetError(f"{source.path}: holds no clip {what} a reference; read it with dynamic={not dynamic}")
         rows = [row for row in source.manifest.records if row.scene in of_kind]
-        subsets = source.manifest.card.subsets
-        super().__init__(
-            source, rows, subsets, source.path, dynamic=dynamic,
-            cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
-            exclude_flags=exclude_flags, ids=ids, window=window, stride=stride, frames=frames, region=region,
-            crops_per_window=crops_per_window, levels=levels, clip=clip, amplification=amplification,
-            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, seed=seed,
-        )  # fmt: skip
+        super().__init__(source, rows, source.manifest.card.subsets, source.path, **options)
+
+
+class Noise2Noise(CroppedItems[Sample]):
+    """Two noisy frames of one scene, ISO and ratio: the input, and instead of the clean target another one.
+
+    J. Lehtinen et al., ICML 2018, and the row of that name in K. Wei et al., TPAMI 2021. The samples are those of the
+    pairs but for ``target``, a noisy frame that is drawn for the item, amplified and clipped like the input; ``path``
+    is the input's. Targets whose negative read noise is clipped off are too bright where it is dark, and the network
+    learns that: give the pairs ``clip="none"``, and test on the same.
+
+    Parameters
+    ----------
+    pairs
+        Of a source that reads parts, such as :class:`~eldata.datasets.PackedStore`. Those whose scene has no other
+        noisy frame of their ISO and ratio are left out.
+
+    Raises
+    ------
+    ArgumentError
+        If the source decodes whole files, or no scene has two such frames.
+    """
+
+    def __init__(self, pairs: SourcePairs) -> None:
+        if not pairs.reads_parts:
+            raise ArgumentError("Noise2Noise reads two noisy frames of a scene at once: pack the dataset, eldata pack")
+        repeats = "crops_per_frame", pairs.crops_per_frame
+        super().__init__(pairs.crop, pairs.augment, pairs.crops, pairs.seed, repeats)
+        self.pairs = pairs
+        self.source, self.clip = pairs.source, pairs.clip
+        groups: dict[object, list[int]] = defaultdict(list)
+        for number, record in enumerate(pairs.records):
+            like = record.camera, record.reference, record.iso, record.ratio
+            groups[like].append(number)
+        self._groups = [group for group in groups.values() if len(group) > 1]
+        self._count = sum(map(len, self._groups))
+        self._members = [
+            (group, place, step)
+            for group in self._groups
+            for place in range(len(group))
+            for step in range(len(pairs._indices_of(group[place])))
+        ]
+        if not self._members:
+            raise ArgumentError(
+                "Noise2Noise needs two noisy frames of a scene at one ISO and ratio; of "
+                f"{len(pairs.records)} pairs none has another one"
+            )
+        self._draws = SharedDraws(len(self))
+
+    def __len__(self) -> int:
+        return len(self._members) * self.pairs.crops_per_frame
+
+    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
+        """Draw a crop of a pair, and of another pair of its scene."""
+        group, place, step = self._members[place % len(self._members)]
+        other_place = (place + 1 + int(generator.integers(len(group) - 1))) % len(group)
+        item = self.pairs.drawn(self.pairs._indices_of(group[place])[step], generator)
+        other = self.pairs.drawn(self.pairs._indices_of(group[other_place])[step], generator)
+        (mine,), (its,) = ([part for part in drawn.parts if part.tensor == "input"] for drawn in (item, other))
+        item.parts = [mine, its._replace(tensor="target", facts={})]
+        return item
+
+    def _outline(self) -> list[tuple[str, str]]:
+        return [("noisy frames", f"{self._count} of {len(self._groups)} exposures"), *self.pairs._outline()]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clips import ClipWindows
+from eldata.datasets.items import keywords_of, take_choice
 from eldata.errors import ArgumentError, DatasetError, ManifestError, check_choice, did_you_mean
 from eldata.manifest.catalogue import (
     FrameFiles,
@@ -24,7 +25,7 @@ from eldata.manifest.catalogue import (
 )
 from eldata.manifest.clips import moment_name
 from eldata.manifest.layouts import DYNAMIC, scan_raw
-from eldata.manifest.pairs import Choice, splits_of
+from eldata.manifest.pairs import splits_of
 from eldata.raw.levels import CAMERA_LEVELS_DN
 from eldata.sources.frames import Files, no_folder
 
@@ -81,11 +82,7 @@ class ELDDataset(PairDataset):
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
         seed: int = 0,
     ) -> None:  # fmt: skip
-        super().__init__(
-            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
-            exclude_flags=exclude_flags, levels=levels, clip=clip, amplification=amplification, crop=crop,
-            dark_shading=dark_shading, augment=augment, crops=crops, crops_per_frame=crops_per_frame, seed=seed,
-        )  # fmt: skip
+        super().__init__(**keywords_of(locals()))
 
 
 SidCameraName = Literal["sony", "fuji"]
@@ -157,6 +154,7 @@ class SIDDataset(PairDataset):
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
         seed: int = 0,
     ) -> None:  # fmt: skip
+        options = keywords_of(locals(), "camera")
         check_choice("camera", camera, _SID_MANIFESTS)
         shipped = _SID_MANIFESTS[camera]
         if levels in CAMERA_LEVELS_DN and levels != shipped:
@@ -165,13 +163,8 @@ class SIDDataset(PairDataset):
         if names is not None:
             for name in names:
                 check_choice("split", name, _SID_SPLITS)
-            split = [part for name in names for part in _SID_SPLITS[name]]
-        manifest = manifest or shipped
-        super().__init__(
-            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
-            exclude_flags=exclude_flags, levels=levels, clip=clip, amplification=amplification, crop=crop,
-            dark_shading=dark_shading, augment=augment, crops=crops, crops_per_frame=crops_per_frame, seed=seed,
-        )  # fmt: skip
+            options["split"] = [part for name in names for part in _SID_SPLITS[name]]
+        super().__init__(**options | {"manifest": manifest or shipped})
 
 
 class LRDDataset(PairDataset):
@@ -210,11 +203,7 @@ class LRDDataset(PairDataset):
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
         seed: int = 0,
     ) -> None:  # fmt: skip
-        super().__init__(
-            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
-            exclude_flags=exclude_flags, levels=levels, clip=clip, amplification=amplification, crop=crop,
-            dark_shading=dark_shading, augment=augment, crops=crops, crops_per_frame=crops_per_frame, seed=seed,
-        )  # fmt: skip
+        super().__init__(**keywords_of(locals()))
 
 
 class LRIDDataset(PairDataset):
@@ -255,11 +244,7 @@ class LRIDDataset(PairDataset):
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
         seed: int = 0,
     ) -> None:  # fmt: skip
-        super().__init__(
-            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
-            exclude_flags=exclude_flags, levels=levels, clip=clip, amplification=amplification, crop=crop,
-            dark_shading=dark_shading, augment=augment, crops=crops, crops_per_frame=crops_per_frame, seed=seed,
-        )  # fmt: skip
+        super().__init__(**keywords_of(locals()))
 
 
 class SIDDDataset(PairDataset):
@@ -303,11 +288,7 @@ class SIDDDataset(PairDataset):
     ) -> None:  # fmt: skip
         if manifest is None:
             manifest = "sidd-blocks" if subset in ("validation", "benchmark") else "sidd"
-        super().__init__(
-            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
-            exclude_flags=exclude_flags, levels=levels, clip=clip, amplification=amplification, crop=crop,
-            dark_shading=dark_shading, augment=augment, crops=crops, crops_per_frame=crops_per_frame, seed=seed,
-        )  # fmt: skip
+        super().__init__(**keywords_of(locals()))
 
 
 Form = Literal["preprocessed", "raw"]
@@ -387,25 +368,20 @@ class DRVDataset(ClipWindows):
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
+        options = keywords_of(locals(), "root", "form", "manifest", "reference")
         check_choice("form", form, get_args(Form))
         published = shipped_manifest("drv")
         folder = published.own_folder(root)
         if not folder.is_dir():
             raise no_folder(folder, published.card, ("VBM4D_rawRGB and long, or short and long",))
-        found: Manifest | Scan = published
+        listed: Manifest | Scan = published
         if manifest is not None and manifest != published.name:
-            found = load_manifest(manifest)
+            listed = load_manifest(manifest)
         elif form == "raw":
-            found = scan_raw(folder, reference=reference)
-        rows = [row for row in found.records if (row.split == DYNAMIC) == dynamic]
-        files = Files(FrameFiles.of(folder, found.card, rows), rows)
-        super().__init__(
-            files, rows, found.card.subsets, folder, dynamic=dynamic,
-            cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
-            exclude_flags=exclude_flags, ids=ids, window=window, stride=stride, frames=frames, region=region,
-            crops_per_window=crops_per_window, levels=levels, clip=clip, amplification=amplification,
-            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, seed=seed,
-        )  # fmt: skip
+            listed = scan_raw(folder, reference=reference)
+        rows = [row for row in listed.records if (row.split == DYNAMIC) == dynamic]
+        files = Files(FrameFiles.of(folder, listed.card, rows), rows)
+        super().__init__(files, rows, listed.card.subsets, folder, **options)
 
 
 SHOTS = range(10)
@@ -472,16 +448,12 @@ class CRVDDataset(ClipWindows):
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
-        found = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)
-        folder = found.own_folder(root)
-        choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
-        rows = _moments(found, choice.pairs(found.records, found.card.subsets), shots)
-        files = Files(FrameFiles.of(folder, found.card, rows), rows, found.card)
-        super().__init__(
-            files, rows, (), folder, ids=ids, window=window, stride=stride, frames=frames, region=region,
-            crops_per_window=crops_per_window, levels=levels, clip=clip, amplification=amplification,
-            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, seed=seed,
-        )  # fmt: skip
+        options = keywords_of(locals(), "root", "shots", "manifest")
+        listed = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)
+        folder = listed.own_folder(root)
+        rows = _moments(listed, take_choice(options).pairs(listed.records, listed.card.subsets), shots)
+        files = Files(FrameFiles.of(folder, listed.card, rows), rows, listed.card)
+        super().__init__(files, rows, (), folder, **options)
 
 
 def _moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collection[int]) -> list[FrameRecord]:
@@ -500,10 +472,10 @@ def _moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collection[
 
 
 def _numbers(row: FrameRecord) -> tuple[int, int]:
-    found = _FRAME.fullmatch(row.path)
-    if found is None:
+    numbers = _FRAME.fullmatch(row.path)
+    if numbers is None:
         raise ManifestError(f"{row.path}: expected a name such as frame1_noisy0.tiff, whose numbers say frame and shot")
-    return int(found[1]), int(found[2])
+    return int(numbers[1]), int(numbers[2])
 
 
 # --- all datasets by name -----------------------------------------------------------------------------------------

@@ -141,7 +141,7 @@ class SourceSensors:
 
 
 def sensors_of(pairs: object) -> SensorsOf:
-    """Return where the sensors of a dataset's samples are found: its source, a store or raw files for example.
+    """Find the sensors of a dataset's samples: by its source, such as a store or raw files.
 
     Raises
     ------

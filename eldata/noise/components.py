@@ -27,12 +27,13 @@ and H. Li, "Rethinking Noise Synthesis and Modeling in Raw Denoising", ICCV 2021
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from eldata.errors import ArgumentError
-from eldata.noise.mosaic import mosaic_rows
+from eldata.raw.levels import packed_forms, packed_layouts
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -188,3 +189,41 @@ def parse_components(spec: str) -> tuple[str, ...]:
                 "one, as in 'P*+D'"
             )
     return tuple(name for name in _SOURCES if name in names)
+
+
+# --- the rows of the mosaic under packed data ------------------------------------------------------------------------
+
+
+@cache
+def packed_rows(channels: int) -> tuple[NDArray[np.int64], int]:
+    """Describe which mosaic rows lie under packed data with 4 (Bayer), 9 (X-Trans), 16 (quad) or 36 (nona) channels.
+
+    Bayer: R and G1 share a row, B and G2 the other; quad and nona: the same, of each row of the blocks. Which come
+    first depends on the phase and changes no statistic.
+
+    Returns
+    -------
+    table, period
+        (C, s, s) int64 and the mosaic rows per s packed rows: packed entry (c, y, x) lies in mosaic row
+        ``(y // s) * period + table[c, y % s, x % s]``.
+
+    Raises
+    ------
+    ArgumentError
+        For any other number of channels.
+    """
+    sites = packed_layouts().get(channels)
+    if sites is None:
+        raise ArgumentError(f"packed data has {packed_forms()} channels; found {channels}")
+    table = np.empty((channels, sites.sub, sites.sub), dtype=np.int64)
+    for row, _, channel, y, x in sites.table:
+        table[channel, y, x] = row
+    return table, sites.period
+
+
+def mosaic_rows(channels: int, height: int, width: int) -> NDArray[np.int64]:
+    """Return the mosaic row of each entry of packed data (C, h, w)."""
+    table, period = packed_rows(channels)
+    sub = table.shape[1]
+    y, x = np.arange(height)[:, None], np.arange(width)
+    return np.asarray((y // sub) * period + table[:, y % sub, x % sub])

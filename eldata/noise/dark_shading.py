@@ -31,7 +31,7 @@ from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import atomic_write, file_problem, json_text
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, DatasetError, ShadingError
-from eldata.raw.levels import cfa_from, pack, packed_area, packed_channels, packed_shape, packing_sites
+from eldata.raw.levels import packed_channels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -239,37 +239,6 @@ class DarkShading:
         channels = np.asarray(self.cfa)[down[:, None] % period, right % period]
         fill_line(slope, offset, np.float32(iso), np.asarray(row.level_error_dn, np.float32)[channels], part)
         return part
-
-    def packed(self, iso: float, region: tuple[int, int, int, int] | None = None) -> NDArray[np.float32]:
-        """Return the shading of a part of packed data, (C, h, w) float32, in DN over the recorded black level.
-
-        Parameters
-        ----------
-        iso
-            One of the measured ISOs.
-        region
-            (top, left, height, width) in packed pixels, even for X-Trans; by default all that packing keeps.
-
-        Raises
-        ------
-        ArgumentError
-            As :meth:`at` does; or if the region is not within the sensor or odd for X-Trans.
-        """
-        area, sites = packed_area(self.hot.shape, self.cfa), packing_sites(self.cfa)
-        whole = packed_shape(self.hot.shape, self.cfa)[1:]
-        top, left, height, width = region or (0, 0, *whole)
-        within = min(top, left) >= 0 and top + height <= whole[0] and left + width <= whole[1]
-        if not within or any(side % sites.sub for side in (top, left, height, width)):
-            raise ArgumentError(
-                f"region {(top, left, height, width)} is not within the {whole[0]} x {whole[1]} packed pixels of the "
-                f"dark shading of {self.camera}" + (", or not even, as X-Trans needs it" if sites.sub > 1 else "")
-            )
-        rows, columns = (
-            slice(start + scale * first, start + scale * (first + side))
-            for start, first, side in ((area.top, top, height), (area.left, left, width))
-            for scale in (sites.scale,)
-        )
-        return pack(self.at(iso, rows, columns), cfa_from(self.cfa, area.top, area.left))
 
     def check_sensor(self, name: str, shape: tuple[int, int], cfa: CfaRows, model: str = "") -> None:
         """Refuse a frame of another sensor.

@@ -24,10 +24,9 @@ import numpy as np
 from eldata.base.arrays import is_tensor
 from eldata.base.numbers import checked_whole
 from eldata.errors import ArgumentError, check_choice
-from eldata.noise.components import parse_components
-from eldata.noise.mosaic import pack_whole, packed_rows, unpack_whole
+from eldata.noise.components import packed_rows, parse_components
 from eldata.noise.parameters import Adc, Generator, NoiseDraw, NoiseParameters, key_from
-from eldata.raw.levels import CLIP_RANGES
+from eldata.raw.levels import CLIP_RANGES, packing_sites
 
 if TYPE_CHECKING:
     import torch
@@ -191,11 +190,11 @@ class NoiseModel:
             If shapes, dtype, parameters, ratio, range, generator, threads, dark frames or ``out`` do not fit.
         """
         images = _count_images(clean)
-        each = _one_each(parameters, images, "parameters")
+        each = _per_image(parameters, images, "parameters")
         if not all(isinstance(item, NoiseParameters) for item in each):
             raise ArgumentError(f"parameters must be NoiseParameters, one or one for each image; found {parameters!r}")
-        ranges = _one_each(_common_range_dn(each) if range_dn is None else range_dn, images, "range_dn")
-        ratios = _one_each(ratio, images, "ratio")
+        ranges = _per_image(_common_range_dn(each) if range_dn is None else range_dn, images, "range_dn")
+        ratios = _per_image(ratio, images, "ratio")
         draws = [NoiseDraw(*fields) for fields in zip(each, ratios, ranges, strict=True)]
         if dark is None and self.dark_frames is not None and images:
             groups = [each] if isinstance(parameters, NoiseParameters) else [[image] for image in each]
@@ -230,7 +229,7 @@ class NoiseModel:
             As a call does.
         """
         images = _count_images(clean)
-        each = _one_each(draws, images, "draws")
+        each = _per_image(draws, images, "draws")
         generators = list(generator) if isinstance(generator, Sequence) else [generator]
         if len(generators) != 1 and (not generators or images % len(generators)):
             raise ArgumentError(
@@ -251,7 +250,7 @@ class NoiseModel:
 
             image = clean.detach().to(torch.float32)
         if isinstance(image, np.ndarray) or image.device.type == "cpu":
-            from eldata.noise.compiled import expose_compiled
+            from eldata.noise._kernels import expose_compiled
 
             keys = [key_from(source) for source in generators] if images else [0]
             flat = np.ascontiguousarray(image, dtype=np.float32).reshape(shape)
@@ -320,6 +319,49 @@ class NoiseModel:
         return unpack_whole(noisy, cfa, (clean.shape[-2], clean.shape[-1]))
 
 
+# --- mosaics of any size: packing that loses no pixel, for noise is wanted on all of them ----------------------------
+
+
+def pack_whole(mosaic: Image, cfa: Cfa) -> Image:
+    """Pack mosaics (..., H, W) to (..., C, h, w), extended by zeros to whole periods on all sides.
+
+    Raises
+    ------
+    ArgumentError
+        If there are fewer than two dimensions, or the CFA is unsupported.
+    """
+    if mosaic.ndim < 2:
+        raise ArgumentError(f"expected mosaics (..., H, W); found shape {tuple(mosaic.shape)}")
+    sites = packing_sites(cfa)
+    top, left = -sites.top % sites.period, -sites.left % sites.period
+    height, width = (
+        -(-(first + side) // sites.period) for first, side in ((top, mosaic.shape[-2]), (left, mosaic.shape[-1]))
+    )
+    leading: tuple[int, ...] = tuple(mosaic.shape[:-2])
+    whole: Image = _zeros(mosaic, (*leading, height * sites.period, width * sites.period))
+    whole[..., top : top + mosaic.shape[-2], left : left + mosaic.shape[-1]] = mosaic
+    packed: Image = _zeros(mosaic, (*leading, sites.channels, height * sites.sub, width * sites.sub))
+    for in_mosaic, in_packed in sites.slices:
+        packed[in_packed] = whole[in_mosaic]
+    return packed
+
+
+def unpack_whole(packed: Image, cfa: Cfa, shape: tuple[int, int]) -> Image:
+    """Undo :func:`pack_whole` for mosaics of ``shape`` (H, W)."""
+    sites = packing_sites(cfa)
+    height, width = (side // sites.sub * sites.period for side in packed.shape[-2:])
+    whole: Image = _zeros(packed, (*tuple(packed.shape[:-3]), height, width))
+    for in_mosaic, in_packed in sites.slices:
+        whole[in_mosaic] = packed[in_packed]
+    top, left = -sites.top % sites.period, -sites.left % sites.period
+    cropped: Image = whole[..., top : top + shape[0], left : left + shape[1]]
+    return cropped
+
+
+def _zeros(like: Any, shape: tuple[int, ...]) -> Any:
+    return np.zeros(shape, like.dtype) if isinstance(like, np.ndarray) else like.new_zeros(shape)
+
+
 # --- what a call gives, one of each per image ----------------------------------------------------------------------
 
 
@@ -357,7 +399,7 @@ def _count_images(clean: Any) -> int:
     return math.prod(clean.shape[:-3])
 
 
-def _one_each(value: Any, images: int, name: str) -> list[Any]:
+def _per_image(value: Any, images: int, name: str) -> list[Any]:
     """Return one value for each image, of one for all or of one for each; of others raise :class:`ArgumentError`."""
     if not isinstance(value, Sequence) and hasattr(value, "tolist"):  # an array or a tensor
         value = value.tolist()

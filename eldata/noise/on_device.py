@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from eldata.noise.mosaic import mosaic_rows, packed_rows
+from eldata.noise.components import mosaic_rows, packed_rows
 from eldata.noise.parameters import key_from
 
 if TYPE_CHECKING:

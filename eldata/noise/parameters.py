@@ -182,7 +182,7 @@ class NoiseDraw:
 
 @cache
 def _names() -> tuple[str, ...]:
-    return tuple(one.name for one in fields(NoiseParameters) if one.compare)
+    return tuple(field.name for field in fields(NoiseParameters) if field.compare)
 
 
 def tukey_lambda_variance(tukey_lambda: float) -> float:

@@ -121,7 +121,7 @@ class PairOpener:
 
 
 def find_ratio(record: Record, target: Frame | None, noisy: Frame, amplification: Amplification) -> Fraction | None:
-    """Return what an input is multiplied by; raises as :meth:`PairOpener.open_pair` does."""
+    """Find the factor of an input; raises as :meth:`PairOpener.open_pair` does."""
     nominal, flags, is_nominal = record.ratio, record.flags, amplification == "nominal"
     if target is None:
         return None if not noisy.cfa else nominal if is_nominal and nominal is not None else Fraction(1)

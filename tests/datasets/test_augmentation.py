@@ -34,14 +34,6 @@ def name(orientation: Orientation) -> str:
 EACH = pytest.mark.parametrize("orientation", ORIENTATIONS, ids=name)
 
 
-def test_there_are_eight_different_orientations() -> None:
-    corner = np.arange(4).reshape(2, 2)
-    flags = [(o.transpose, o.flip_rows, o.flip_columns) for o in ORIENTATIONS]
-    assert sorted(flags) == sorted(itertools.product((False, True), repeat=3))
-    views = {tuple(expected(corner, orientation).ravel().tolist()) for orientation in ORIENTATIONS}
-    assert len(views) == 8
-
-
 def expected(
     mosaic: np.ndarray[tuple[int, ...], np.dtype[np.int64]], orientation: Orientation
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
@@ -78,19 +70,6 @@ def test_the_cfa_stays_and_the_pixels_are_the_turned_ones(cfa: Cfa, orientation:
             rest = of_pixel[turned[other_top:, other_left:]]
             whole = colours(cfa, 5 * period, 5 * period)[: rest.shape[0], : rest.shape[1]]
             assert not np.array_equal(rest, whole)
-
-
-@EACH
-@in_one_test("cfa", BAYER.values())
-def test_the_first_green_is_the_one_in_reds_rows(cfa: Cfa, orientation: Orientation) -> None:
-    """In the packed form R and G1 come from the same rows of the view, whatever they were before the turn."""
-    mosaic = np.arange(24 * 36).reshape(24, 36)
-    view = oriented(mosaic, cfa, orientation)
-    row_of = np.empty(mosaic.size, dtype=np.int64)
-    row_of[view.ravel()] = np.repeat(np.arange(view.shape[0]), view.shape[1])
-    red, green, blue, other_green = row_of[pack(view, cfa)]
-    np.testing.assert_array_equal(red, green)
-    np.testing.assert_array_equal(blue, other_green)
 
 
 @EACH
@@ -137,10 +116,3 @@ def test_a_copy_is_the_view(cfa: Cfa, orientation: Orientation) -> None:
 def test_shapes_that_do_not_fit(shape: tuple[int, ...], cfa: Cfa) -> None:
     with pytest.raises(ArgumentError, match=rf"sides are multiples of {len(cfa)}; found shape"):
         oriented(np.zeros(shape), cfa, Orientation())
-
-
-def test_a_cfa_without_that_orientation() -> None:
-    diagonal = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
-    assert oriented(np.zeros((3, 3)), diagonal, Orientation(transpose=True)).shape == (3, 3)
-    with pytest.raises(ArgumentError, match=r"has no orientation Orientation\(.*flip_columns=True"):
-        oriented(np.zeros((3, 3)), diagonal, Orientation(flip_columns=True))

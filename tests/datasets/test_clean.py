@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import shutil
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 import eldata.raw.reading
-from eldata.datasets.clean import CleanFrames
+from eldata.datasets.clean import Arrays, CleanFrames
 from eldata.datasets.crops import Crop, oriented
-from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs
-from eldata.errors import ArgumentError, DatasetError, RawFileError
+from eldata.errors import ArgumentError, DatasetError
 from eldata.raw import write_dng
 from eldata.raw.levels import CLIP_RANGES, normalise, pack, unpack
 from eldata.sources.store import build_store, source_of_folder
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from eldata.sources.frames import Frame
 
 CFAS = [BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"]]
@@ -40,17 +39,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 # --- raw files ------------------------------------------------------------------------------------------------------
-
-
-def test_a_folder_is_searched_through_for_raw_files(folder: Path) -> None:
-    for source in (CleanFrames(folder), CleanFrames(str(folder))):
-        assert len(source) == 4
-        assert [Path(name).relative_to(folder).as_posix() for name in source.names] == [
-            "a.dng",
-            "b.DNG",
-            "deep/c.dng",
-            "deep/deeper/d.dng",
-        ]
 
 
 def test_several_places_are_one_source(folder: Path, tmp_path: Path) -> None:
@@ -114,17 +102,6 @@ def test_the_frames_last_used_are_kept(folder: Path, decoded: list[str]) -> None
     source.frame(1)
     assert decoded == ["a.dng", "b.DNG", "c.dng", "b.DNG"]
     assert len(source._kept) == 2
-
-
-def test_a_file_that_cannot_be_read_is_named(folder: Path, tmp_path: Path) -> None:
-    shutil.copy(folder / "a.dng", tmp_path / "a.dng")
-    (tmp_path / "b.dng").write_bytes((folder / "a.dng").read_bytes()[:3000])
-    source = CleanFrames(tmp_path)
-    source.frame(0)
-    with pytest.raises(RawFileError, match=r"b\.dng"):
-        source.frame(1)
-    with pytest.raises(RawFileError, match=r"none\.dng"):
-        CleanFrames([tmp_path / "none.dng"]).frame(0)
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,8 @@ from eldata.calibration import BiasStack, ShadingFit, fixed_pattern
 from eldata.datasets import Arrays, CleanClips, DarkFrames, SyntheticClips, SyntheticPairs
 from eldata.datasets.clean import CleanFrames
 from eldata.errors import ArgumentError, DatasetError
-from eldata.noise import Adc, CameraProfile, DarkShading, NoiseDraw, NoiseModel, NoiseParameters, ShadingIso
-from eldata.noise.compiled import expose_compiled
+from eldata.noise import Adc, CameraProfile, NoiseDraw, NoiseModel, NoiseParameters
+from eldata.noise._kernels import expose_compiled
 from eldata.noise.on_device import expose_on_device
 from eldata.raw import pack, read_raw, write_dng
 from eldata.records import Exposure
@@ -354,20 +354,3 @@ def test_less_a_shading_the_noise_alone_is_left(tmp_path: Path) -> None:
         np.testing.assert_allclose(in_dn(item, 15871.0 - 512), expected[number][:, rows, columns], atol=2e-3)
     assert made["these"].var() == pytest.approx(9 + 1 / 12, rel=0.04)
     assert made["others"].var() == pytest.approx((9 + 1 / 12) * 7 / 6, rel=0.04)
-
-
-def test_a_shading_that_is_not_of_these_frames(bias: Path) -> None:
-    def of(shape: tuple[int, int], cfa: Cfa, isos: tuple[int, ...]) -> DarkShading:
-        each = {"frames": 4, "sigma_dn": 3.0, "level_error_dn": (0.0,) * 4, "standard_error_dn": (0.0,) * 4}
-        flat, hot = np.zeros((1, *shape), np.float32), np.zeros(shape, np.bool_)
-        found = tuple(ShadingIso(iso=iso, mode=0, **each) for iso in isos)  # type: ignore[arg-type]
-        return DarkShading(camera="C", source="", cfa=cfa, isos=found, slope_dn=flat, offset_dn=flat, hot=hot)
-
-    with pytest.raises(DatasetError, match=r"0.dng: has 72 x 72 .*but the dark shading of C is of 70 x 72 pixels"):
-        DarkFrames(bias, shading=of((70, 72), BAYER["GRBG"], (400, 1600)))
-    with pytest.raises(DatasetError, match="or another CFA"):
-        DarkFrames(bias, shading=of((72, 72), BAYER["RGGB"], (400, 1600)))
-    with pytest.raises(ArgumentError, match="the dark shading of C was not measured at ISO 1600"):
-        DarkFrames(bias, shading=of((72, 72), BAYER["GRBG"], (400,)))
-    with pytest.raises(ArgumentError, match="shading_from must be one of"):
-        DarkFrames(bias, shading_from="mine")  # type: ignore[arg-type]

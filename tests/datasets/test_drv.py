@@ -94,16 +94,6 @@ def test_items_are_the_files_pixels(drv: SmallDrv) -> None:
     assert torch.equal(batch["input"], torch.stack([sample["input"] for sample in dataset]))
 
 
-def test_windows_strides_and_ranges(drv: SmallDrv) -> None:
-    assert [record.start for record in opened(drv, window=4, stride=3, ids=["0007"]).records] == [0, 3, 6, 9]
-    authors = opened(drv, window=1, frames="authors", ids=["0013"])
-    assert numbers_of(record.path for record in authors.records) == [5, 6, 7, 8, 9, 10]  # range(4, 13 - 3)
-    evaluation = opened(drv, frames="evaluation")
-    assert [numbers_of(record.frames) for record in evaluation.records] == [[5, 6, 7, 8, 9]] * 2
-    whole = opened(drv, window=FRAMES)
-    assert whole[0]["input"].shape == (FRAMES, 3, HEIGHT, WIDTH)
-
-
 def test_dynamic_clips_are_input_alone(drv: SmallDrv) -> None:
     dataset = DRVDataset(drv.data, dynamic=True, manifest=drv.csv, window=2)
     assert len(dataset) == 6

@@ -15,7 +15,7 @@ from eldata.demo.camera import CAMERAS
 from eldata.errors import DatasetError, RawFileError
 from eldata.manifest.verify import verify
 from tests.datasets.comparing import same_bits
-from tests.trees import Tree, frame, scale_exposure
+from tests.trees import Tree, scale_exposure
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -108,20 +108,6 @@ def test_a_wrong_ratio_names_the_file(tree: Tree) -> None:
     assert "80" in str(raised.value)
     assert "eldata verify" in str(raised.value)
     dataset[1]  # its neighbour is fine
-
-
-def test_sizes_that_differ(tree: Tree, tmp_path: Path) -> None:
-    from dataclasses import replace
-
-    from eldata.raw import read_raw, write_dng
-
-    reference = read_raw(tree.file(6))
-    cropped = replace(reference.sensor, height=62)
-    write_dng(tree.file(6), reference.mosaic[:62], cropped, reference.exposure)
-    with pytest.raises(DatasetError, match="has 64 x 96 pixels") as raised:
-        demo(tree)[0]
-    assert "has 62 x 96 pixels" in str(raised.value)
-    assert frame(6) in str(raised.value)
 
 
 @pytest.mark.parametrize("lost", ["noisy", "reference"])

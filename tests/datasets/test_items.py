@@ -10,17 +10,16 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from eldata import DRVDataset, PackedClips, PackedStore
+from eldata import PackedStore
 from eldata.datasets import PairDataset, SourcePairs, raw2rgb
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import DatasetError
 from eldata.manifest.card import save_card
 from eldata.noise import CameraProfile
 from eldata.raw import pack, read_raw, write_dng
 from eldata.raw.levels import packed_black_level_dn
 from eldata.sources.frames import Frame, FrameSource
 from tests.datasets.comparing import same
-from tests.drv_tree import SmallDrv, small_drv
 from tests.evaluation.test_way_of_a_score import modules_called
 from tests.sources.store.helpers import pack_tree
 
@@ -30,11 +29,6 @@ if TYPE_CHECKING:
 
     from eldata.records import FrameRecord
     from tests.trees import Tree
-
-
-@pytest.fixture(scope="module")
-def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
-    return small_drv(tmp_path_factory.mktemp("drv"), ("0007", "0013", "M0003"), 6)
 
 
 class Memory:
@@ -76,7 +70,7 @@ def test_crops_of_files_stores_and_other_sources_are_the_same(pristine: Tree, st
 
 def test_one_item_passes_few_modules(pristine: Tree, store: Path) -> None:
     """From two files, decoding among it, and from a store."""
-    for pairs, most in ((PairDataset(pristine.data, pristine.csv), 23), (PackedStore(store, crop=8), 11)):
+    for pairs, most in ((PairDataset(pristine.data, pristine.csv), 21), (PackedStore(store, crop=8), 11)):
         wanted = pairs[1]["path"]  # what is computed once, such as kernels
         passed, sample = modules_called(pairs.__getitem__, 1)
         assert sample["path"] == wanted
@@ -178,16 +172,3 @@ def test_crops_of_packed_arrays(pristine: Tree, tmp_path: Path) -> None:
         top, left = (side.start // 2 for side in part)
         for name in ("input", "target"):
             assert torch.equal(sample[name], other[name][:, top : top + 8, left : left + 8])
-
-
-def test_crops_of_clips_of_files_are_those_of_the_store(drv: SmallDrv, tmp_path: Path) -> None:
-    cropping: Any = {"crop": 9, "augment": True, "crops_per_window": 3, "seed": 2, "window": 2, "clip": "none"}
-    ours = DRVDataset(drv.data, manifest=drv.csv, **cropping)
-    theirs = PackedClips(pack_tree(drv, tmp_path / "drv.h5").store, **cropping)
-    assert len(ours) == len(theirs) == 18
-    for first, second in zip(ours, theirs, strict=True):
-        assert first["path"] == second["path"]
-        for name in ("input", "target"):
-            assert torch.equal(first[name], second[name])
-    with pytest.raises(ArgumentError, match="give a region or a crop, not both"):
-        DRVDataset(drv.data, manifest=drv.csv, crop=9, region=(0, 0, 4, 4))

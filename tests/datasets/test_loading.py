@@ -10,10 +10,10 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from torch.utils.data import ConcatDataset, DataLoader, Dataset, IterableDataset, Subset
+from torch.utils.data import DataLoader, Dataset, IterableDataset, Subset
 
 from eldata import PackedStore
-from eldata.datasets import loading, raw2rgb
+from eldata.datasets import loading
 from eldata.datasets.loading import (
     Rank,
     ShuffledSampler,
@@ -96,15 +96,6 @@ def test_random_numbers_that_a_transform_draws_are_seeded_by_epoch() -> None:
     assert drawn(1, seed=1) != first
     for kind in range(3):  # no two workers draw the same
         assert len({value for batch in first for value in batch[kind]}) == 8
-
-
-def test_the_epoch_reaches_what_is_wrapped(store: Path) -> None:
-    first, second, third = pairs(store), pairs(store), pairs(store)
-    loader = training_loader(ConcatDataset([Subset(first, [0, 1, 2]), raw2rgb(second), third]), 2, workers=0)
-    set_epoch(loader, 7)
-    assert (first.epoch, second.epoch, third.epoch) == (7, 7, 7)
-    with pytest.raises(ArgumentError, match="epoch must be 0 or more; found -1"):
-        set_epoch(loader, -1)
 
 
 # --- settings -----------------------------------------------------------------------------------------------------

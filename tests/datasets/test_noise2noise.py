@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from eldata.datasets import Noise2Noise, PackedStore, SIDDataset, set_epoch, training_loader
+from eldata.datasets import Noise2Noise, PackedStore, SIDDataset
 from eldata.errors import ArgumentError
 from tests.sid_tree import SmallTree, build_small_tree
 from tests.sources.store.helpers import pack_tree
@@ -61,23 +61,6 @@ def test_each_item_is_two_exposures_of_one_place(pairs: PackedStore) -> None:
             np.testing.assert_array_equal(sample[side].numpy(), expected)  # type: ignore[literal-required]
         assert not torch.equal(sample["input"], sample["target"])
     assert len(met) > len(noisy) // 3  # three crops of a frame seldom have one and the same target
-
-
-def test_items_depend_on_seed_epoch_and_index_alone(pairs: PackedStore) -> None:
-    noisy = Noise2Noise(pairs)
-    assert not torch.equal(noisy[1]["target"], noisy[1]["target"]), "unless an epoch is set, draws go on"
-    loader = training_loader(noisy, 4, seed=1, workers=0)
-    set_epoch(loader, 2)
-    (first, *_), (again, *_) = list(loader), list(loader)
-    assert torch.equal(first["target"], again["target"])
-    assert pairs.epoch == 2
-    sample = noisy[1]
-    batch = noisy.__getitems__([0, 1])
-    assert torch.equal(batch[1]["target"], sample["target"])
-    set_epoch(loader, 3)
-    assert not torch.equal(noisy[1]["target"], sample["target"])
-    with pytest.raises(IndexError):
-        noisy[len(noisy)]
 
 
 def test_what_has_no_second_exposure_is_refused(tree: SmallTree, store: Path) -> None:

@@ -121,15 +121,13 @@ def test_crops_of_rgb_windows_are_parts_of_the_files_turned_alike(rgb: Path, drv
     assert len(places) > 30
 
 
-# --- determinism --------------------------------------------------------------------------------------------------
-
-
 # --- choices and refusals -----------------------------------------------------------------------------------------
 
 
 def test_choices_and_refusals(rgb: Path, raw: Path, tmp_path: Path) -> None:
     dataset = PackedClips(rgb, crop=16, ids=["0013"], window=2)
     assert {record.scene for record in dataset.records} == {"0013"}
+    assert PackedClips(rgb, crop=16, scenes=["0013"], window=2).records == dataset.records
     for part in ("PackedClips", "1 clips, 6 windows of 2 frames", "crop=16", "augment=True", "seed=0", "levels="):
         assert part in repr(dataset)
     for options, word in (
@@ -138,6 +136,7 @@ def test_choices_and_refusals(rgb: Path, raw: Path, tmp_path: Path) -> None:
         ({"crops_per_window": 0}, "crops_per_window must be 1 or more"),
         ({"window": 0}, "window and stride must be 1 or more"),
         ({"frames": "some"}, "frames must be one of"),
+        ({"crop": 9, "region": (0, 0, 4, 4)}, "give a region or a crop, not both"),
     ):
         with pytest.raises(ArgumentError, match=word):
             PackedClips(rgb, **options)

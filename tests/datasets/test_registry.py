@@ -17,7 +17,6 @@ from eldata.datasets import PairDataset, dataset_class, dataset_names, open_data
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import ENTRY_POINTS, Manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice, unpaired
-from eldata.manifest.verify import verify
 from tests.crvd_tree import build_crvd_tree
 from tests.datasets.comparing import same
 from tests.drv_tree import build_drv_tree
@@ -206,19 +205,6 @@ def test_the_published_clips_can_be_read(name: str, opened: Callable[..., Any]) 
     assert sample["input"].dtype == sample["target"].dtype == torch.float32
 
 
-@EVERY
-def test_length_iteration_and_indices(name: str, few: Callable[[str], Any]) -> None:
-    dataset = few(name)
-    count = len(dataset)
-    assert count == len(dataset.records) > 0
-    assert [sample["path"] for sample in dataset] == [record.path for record in dataset.records]
-    assert dataset[-1]["path"] == dataset[count - 1]["path"] == dataset.records[-1].path
-    assert dataset[-count]["path"] == dataset.records[0].path
-    for index in (count, -count - 1):
-        with pytest.raises(IndexError):
-            dataset[index]
-
-
 def test_workers_give_the_same_samples(few: Callable[[str], Any]) -> None:
     """All datasets in one loader: a spawned worker takes seconds to start."""
     parts = [Some(dataset, range(min(2, len(dataset)))) for dataset in map(few, NAMES)]
@@ -251,11 +237,6 @@ def test_records_and_frame_open_no_file(name: str, roots: Callable[[str], Path],
         dataset[0]
 
 
-@EVERY
-def test_the_published_names_verify(name: str, roots: Callable[[str], Path]) -> None:
-    assert verify([shipped_manifest(name)], roots(name), level="quick").ok
-
-
 # --- refusals ---------------------------------------------------------------------------------------------------------
 
 
@@ -269,6 +250,3 @@ def test_a_missing_folder_says_where_to_get_the_files(name: str, tmp_path: Path)
         open_dataset(name, tmp_path / "nowhere")[0]
     for words in ("nowhere", shipped_manifest(name).card.homepage, f"eldata info {name}", f"eldata download {name}"):
         assert words in str(raised.value)
-
-
-# --- ELD's own --------------------------------------------------------------------------------------------------------

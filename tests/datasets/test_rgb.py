@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from eldata.datasets.base import PairDataset
-from eldata.datasets.clean import CleanFrames
-from eldata.datasets.packed import PackedStore
+from eldata.datasets.clean import Arrays, CleanFrames
 from eldata.datasets.rgb import (
     PairSensors,
     Rendered,
@@ -21,14 +20,13 @@ from eldata.datasets.rgb import (
     raw2rgb,
     rgb2rgb,
 )
-from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import ArgumentError
 from eldata.isp.rendering import Gamma, Rendering, render_pair_for_scoring
 from eldata.isp.response import ResponseCurve
 from eldata.raw import read_raw, write_dng
 from tests.raw.helpers import make_sensor
-from tests.sources.store.helpers import pack_folder, pack_tree
+from tests.sources.store.helpers import pack_folder
 from tests.trees import Tree, copy_tree
 
 if TYPE_CHECKING:
@@ -119,15 +117,6 @@ def test_stages_of_ones_own(balanced: Tree) -> None:
 # --- stores and synthetic noise -----------------------------------------------------------------------------------
 
 
-def test_a_store_gives_the_same_as_the_files(balanced: Tree, tmp_path: Path) -> None:
-    store = PackedStore(
-        pack_tree(balanced, tmp_path / "eld.h5").store, crop=None, augment=False, cameras=[CAMERA], ratios=[100]
-    )
-    for sample, wanted in zip(rgb2rgb(store), rgb2rgb(pairs_of(balanced)), strict=True):
-        assert torch.equal(sample["input"], wanted["input"])
-        assert torch.equal(sample["target"], wanted["target"])
-
-
 @pytest.fixture(scope="module")
 def clean(pristine: Tree) -> list[Path]:
     return sorted((pristine.data / CAMERA).rglob("IMG_0001.dng"))
@@ -153,9 +142,6 @@ def test_arrays_need_a_sensor_from_the_caller() -> None:
         rgb2rgb(pairs)
     sample = rgb2rgb(pairs, sensors=lambda _: PairSensors(make_sensor(), make_sensor()))[0]
     assert sample["input"].shape == (3, 16, 16)
-
-
-# --- workers ------------------------------------------------------------------------------------------------------
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------

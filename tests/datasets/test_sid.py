@@ -12,7 +12,7 @@ import pytest
 import rawpy
 
 from eldata import SIDDataset
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import ArgumentError
 from eldata.manifest.catalogue import shipped_manifest
 from tests.datasets.comparing import same_bits
 from tests.raw.helpers import sid_pack
@@ -163,11 +163,3 @@ def test_choices(options: dict[str, Any], count: int, sid: Path) -> None:
 def test_unknown_values_list_the_known(options: dict[str, Any], said: str, sid: Path) -> None:
     with pytest.raises(ArgumentError, match=said):
         SIDDataset(sid, **options)
-
-
-# --- wrong files --------------------------------------------------------------------------------------------------
-
-
-def test_the_folder_of_one_camera_is_not_taken_for_the_dataset(sid: Path) -> None:
-    with pytest.raises(DatasetError, match="no folder 'Fuji' for camera FujifilmXT2; is this the right folder"):
-        SIDDataset(sid / "Fuji", camera="fuji")[0]

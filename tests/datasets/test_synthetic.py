@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import hashlib
 import math
@@ -14,9 +13,8 @@ import torch
 from torch.utils.data import DataLoader, default_collate
 
 from eldata.datasets.base import SourcePairs
-from eldata.datasets.clean import CleanFrames
+from eldata.datasets.clean import Arrays, CleanFrames
 from eldata.datasets.items import CroppedItems
-from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs, SyntheticSample
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError
@@ -26,7 +24,6 @@ from eldata.raw.levels import pack_normalised, unpack
 from eldata.sources.frames import Frame
 from tests.cases import in_one_test
 from tests.datasets.comparing import same
-from tests.datasets.methods import FORK, workers
 from tests.evaluation.test_way_of_a_score import modules_called
 from tests.raw.helpers import (
     BAYER,
@@ -41,7 +38,6 @@ from tests.raw.helpers import (
     random_mosaic,
     start_of,
 )
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -122,21 +118,6 @@ def test_an_item_depends_on_seed_epoch_and_index_alone(folder: Path) -> None:
         different(kept[index], reference[index])
 
 
-def test_another_seed_epoch_or_index_gives_another_item(folder: Path) -> None:
-    dataset = raw_pairs(folder)
-    first = dataset[0]
-    different(first, dataset[3])  # the same frame
-    assert first["path"] == dataset[3]["path"]
-    different(first, raw_pairs(folder, seed=4)[0])
-    dataset.set_epoch(1)
-    assert dataset.epoch == 1
-    different(first, dataset[0])
-    # Neither sums nor shifts of the three make items equal.
-    epoch_4 = raw_pairs(folder, seed=2)
-    epoch_4.set_epoch(1)
-    different(first, epoch_4[0])
-
-
 def test_batches_hold_the_items(folder: Path) -> None:
     """Which are made at once; the last, smaller batch too."""
     dataset = raw_pairs(folder)
@@ -146,26 +127,6 @@ def test_batches_hold_the_items(folder: Path) -> None:
         assert list(batch) == list(wanted)
         for key, value in wanted.items():
             assert torch.equal(batch[key], value) if isinstance(value, torch.Tensor) else batch[key] == value, key
-
-
-@pytest.mark.parametrize(
-    "method", [pytest.param("fork", marks=FORK.marks), pytest.param("spawn", marks=pytest.mark.study)]
-)
-def test_an_epoch_reaches_persistent_workers(method: str, folder: Path) -> None:
-    """Of a copy, whose epoch is not the original's."""
-    original, reference = raw_pairs(folder), raw_pairs(folder)
-    dataset = copy.deepcopy(original)
-    options: dict[str, Any] = {"multiprocessing_context": method, "persistent_workers": True, "timeout": PATIENCE_S}
-    batches = DataLoader(dataset, batch_size=None, num_workers=workers(method), **options)
-    for epoch in (0, 5, 0):
-        dataset.set_epoch(epoch)
-        reference.set_epoch(epoch)
-        for index, item in enumerate(batches):
-            same(item, reference[index])
-    assert original.epoch is None
-
-
-# --- length, index, collate -----------------------------------------------------------------------------------------
 
 
 # --- where the pixels come from -------------------------------------------------------------------------------------
@@ -250,18 +211,6 @@ def test_ratios_are_uniform_between_their_limits() -> None:
         assert abs(ratios.mean() - (low + high) / 2) < 5 * (high - low) / math.sqrt(12 * 200)
 
 
-def test_cameras_are_drawn_alike() -> None:
-    """200 items of 2 cameras: within 5 standard deviations of a half; one profile by name, path or object."""
-    nikon = CameraProfile.load("NikonD850")
-    found = items(flat(profiles=["SonyA7S2", nikon]))
-    cameras = [item["camera"] for item in found]
-    assert abs(cameras.count("SonyA7S2") - 100) < 5 * math.sqrt(50)
-    assert set(cameras) == {"SonyA7S2", "NikonD850"}
-    for item in found:
-        low, high = CameraProfile.load(item["camera"]).gain_range_dn_per_e
-        assert low <= item["gain_dn_per_e"] <= high
-
-
 def measured_profile() -> CameraProfile:
     """The Sony with all figures of ISO 800 and 1600, off the lines of its fits, and not all of ISO 3200."""
     sony = CameraProfile.load("SonyA7S2")
@@ -318,16 +267,6 @@ def test_each_of_several_isos_has_its_own_row() -> None:
         flat(profiles=profile, iso={800: 2}, crops_per_frame=1)[0],
         flat(profiles=profile, iso=[800], crops_per_frame=1)[0],
     )
-
-
-def test_every_camera_has_to_know_the_isos() -> None:
-    canon = dataclasses.replace(CameraProfile.load("CanonEOS70D"), iso_range=(200.0, 6400.0))
-    with pytest.raises(ArgumentError, match="ISO 100 is outside of the calibrated range 200 to 6400 of CanonEOS70D"):
-        flat(profiles=["SonyA7S2", canon], iso=[100, 800])
-    found = items(flat(profiles=["SonyA7S2", canon], iso=[200, 800]))
-    assert {(item["camera"], item["camera_id"], item["iso"]) for item in found} == {
-        (camera, number, iso) for number, camera in enumerate(("SonyA7S2", "CanonEOS70D")) for iso in (200.0, 800.0)
-    }
 
 
 @pytest.mark.parametrize(
@@ -435,11 +374,9 @@ def test_the_range_of_the_simulated_camera_decides_the_noise() -> None:
     assert "range_dn=15871" in repr(pairs(twelve, range_dn=15871.0))
     assert "range_dn=" not in repr(alone).split("NoiseModel", 1)[1]
     text = repr(flat(profiles=("SonyA7S2", "NikonD850"), seed=5, augment=False))
-    parts = (
-        "SyntheticPairs(Arrays(1 frames",
-        "200 items, cameras: SonyA7S2, NikonD850; NoiseModel('P*+G*+B+R+U', clip=",
-    )
-    assert all(part in text for part in (*parts, "ratio=(100.0, 300.0), crop=8, augment=False, seed=5)"))
+    parts = ("SyntheticPairs(clean frames: Arrays(1 frames", "cameras: SonyA7S2, NikonD850", "NoiseModel('P*+G*+B+R+U'")
+    assert all(part in text for part in parts)
+    assert text.endswith("ratio: 100 to 300; items: 200 items, crop=8, augment=False, crops_per_frame=200, seed=5)")
 
 
 @pytest.mark.parametrize(("black", "white"), [(128.0, 4095.0), (0.0, 65535.0), (2048.0, 13583.0)])
@@ -471,4 +408,4 @@ def test_one_item_passes_few_modules(folder: Path) -> None:
     dataset = pairs(CleanFrames(folder, keep=3), crops_per_frame=4)
     items(dataset)  # what is computed once, such as kernels
     passed, _ = modules_called(dataset.__getitem__, 0)
-    assert len(passed) <= 17, sorted(passed)
+    assert len(passed) <= 15, sorted(passed)

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import psutil
 import pytest
 import torch
-from torch.utils.data import DataLoader, default_collate
 
-from eldata.datasets.clean import CleanClips
-from eldata.datasets.synthetic.arrays import Arrays
+from eldata.datasets.clean import Arrays, CleanClips
 from eldata.datasets.synthetic.pairs import SyntheticClips
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import DatasetError
 from eldata.noise import NoiseParameters
 from eldata.raw import write_dng
 from eldata.raw.levels import pack_normalised
@@ -146,29 +142,3 @@ def test_clips_that_are_too_short(folder: Path) -> None:
     with pytest.raises(DatasetError, match="4 frames are too few for a window of 5"):
         dataset[0]
     assert dataset[1]["input"].shape[0] == 5
-
-
-@pytest.mark.memory
-def test_one_whole_frame_is_in_memory_at_a_time(tmp_path: Path) -> None:
-    """Eight frames of 4 megapixels (8 MB each as mosaics): the crops are small, so the growth stays below 50 MB."""
-    write_dng(tmp_path / "1.dng", random_mosaic(2000, 2000), make_sensor(height=2000, width=2000), EXPOSURE)
-    for number in range(2, 9):
-        os.link(tmp_path / "1.dng", tmp_path / f"{number}.dng")
-    dataset = clips(CleanClips(tmp_path), frames=8, crop=64, windows_per_clip=2)
-    dataset[0]
-    process = psutil.Process()
-    before = process.memory_info().rss
-    dataset[1]
-    assert process.memory_info().rss - before < 50e6
-
-
-def test_batches_hold_the_windows(folder: Path) -> None:
-    dataset = raw_clips(folder)
-    assert "SyntheticClips(CleanClips(2 clips" in repr(dataset)
-    assert "6 windows of 3 frames, cameras: SonyA7S2" in repr(dataset)
-    dataset.set_epoch(0)
-    (batch,) = DataLoader(dataset, batch_size=6)
-    for key, value in default_collate(list(dataset)).items():
-        assert torch.equal(batch[key], value) if isinstance(value, torch.Tensor) else batch[key] == value, key
-    with pytest.raises(ArgumentError, match="must be 1 or more"):
-        raw_clips(folder, frames=0)

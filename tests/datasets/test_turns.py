@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from eldata.datasets.synthetic.turns import Turns, fewest_members
+from eldata.datasets.synthetic.draws import Turns, fewest_members
 
 
 def test_each_member_once_before_any_twice() -> None:

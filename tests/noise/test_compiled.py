@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.noise import NoiseDraw, NoiseParameters, _random_kernels, compiled, parse_components
-from eldata.noise.compiled import expose_compiled
+from eldata.noise import NoiseDraw, NoiseParameters, _kernels, _random_kernels, parse_components
+from eldata.noise._kernels import expose_compiled
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -205,7 +205,7 @@ def _tukey_lambda(words: NDArray[np.uint64], shape: float) -> NDArray[np.float32
     floor = _random_kernels.LAMBDA_FLOOR
     exponent = np.array([shape if abs(shape) > floor else floor], dtype=np.float32)
     out = np.empty(words.size, dtype=np.float32)
-    power = compiled.power_coefficients(exponent)[0]
+    power = _kernels.power_coefficients(exponent)[0]
     high, low = (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
     _random_kernels.tukey_lambda_draws(high, low, exponent[0], power, np.empty_like(out), out)
     return out
@@ -313,7 +313,7 @@ def test_bits_do_not_depend_on_threads_bands_or_batches(monkeypatch: pytest.Monk
         np.testing.assert_array_equal(noisy(clean, FULL, key=2**64 - 1, threads=threads), expected)
     for cut in (1, 2, 5):
         np.testing.assert_array_equal(noisy(clean[:cut].copy(), FULL, key=2**64 - 1), expected[:cut])
-    monkeypatch.setattr(compiled, "_PIECE", 7 * 530)
+    monkeypatch.setattr(_kernels, "_PIECE", 7 * 530)
     np.testing.assert_array_equal(noisy(clean, FULL, key=2**64 - 1), expected)
 
 

@@ -71,12 +71,6 @@ def test_a_file_comes_back(shading: DarkShading, tmp_path: Path) -> None:
         assert sorted(archive) == ["about", "hot", "offset_dn", "slope_dn"]
 
 
-def test_packed_data_has_the_shading_of_its_pixels(shading: DarkShading) -> None:
-    """The first site of this CFA that packing keeps is red, a column on."""
-    packed = shading.packed(1600, (1, 2, 3, 4))
-    assert np.array_equal(packed[0], shading.at(1600, slice(2, 8), slice(5, 13))[::2, ::2])
-
-
 def test_the_digest_is_what_it_was(shading: DarkShading) -> None:
     """Digests stand in results and protocols."""
     assert shading.digest == "sha256:9d12d7857ed3931c6a67544a71abdcd11254a761f2e6f54ad6a8884b69514ab1"

@@ -171,24 +171,3 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 def test_modes_that_do_not_go_together(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ProfileError, match=text):
         dataclasses.replace(TWO, **changes)
-
-
-@in_one_test(
-    "keys, value, text",
-    [
-        (("modes",), [], r"modes: expected a list of two modes or more"),
-        (("modes", 1, "extra"), 1, r"modes\[1\]\.extra: is unknown"),
-        (("modes", 0, "row_fit", "slope"), "a", r"modes\[0\]\.row_fit\.slope"),
-        (("row_fit",), {"slope": 1, "intercept": 1, "sigma": 1}, "row_fit: is unknown"),
-        (("schema",), 1, "modes: is unknown"),
-    ],
-)
-def test_a_wrong_field_of_a_file_is_named(keys: tuple[Any, ...], value: object, text: str, tmp_path: Path) -> None:
-    data: Any = json.loads(json.dumps({"schema": 2} | TWO.as_dict()))
-    place = data
-    for key in keys[:-1]:
-        place = place[key]
-    place[keys[-1]] = value
-    (tmp_path / "two.json").write_text(json.dumps(data), encoding="utf-8")
-    with pytest.raises(ProfileError, match=f"two.json, field {text}"):
-        CameraProfile.load(tmp_path / "two.json")

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import pickle
-from argparse import Namespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from eldata.datasets import Arrays, CleanFrames, SyntheticPairs
+from eldata.datasets import Arrays, SyntheticPairs
 from eldata.errors import ArgumentError
-from eldata.examples.train_denoiser import noise_of
 from eldata.noise import NoiseDraw, NoiseModel, NoiseParameters
 from eldata.noise.model import made_exposure
 from tests.cases import in_one_test
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CLEAN = np.full((4, 6, 8), 0.25, np.float32)
 DRAW = NoiseDraw(NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0), 100.0, 15871.0)
@@ -128,17 +122,3 @@ def test_a_network_of_somebody_elses() -> None:
     assert not torch.equal(items[0], items[1])
     noise = items[0].double() - 0.3
     assert abs(float(noise.std()) / 0.01 - 1) < 5 / np.sqrt(2 * 4096)
-
-
-def test_the_example_trains_on_it(demo_tree: Path) -> None:
-    model = noise_of(Namespace(noise="tests.noise.test_makers:MAKER"))
-    references = CleanFrames(demo_tree / "data" / "ELD-demo" / "DemoAlpha" / "scene-1")
-    found = SyntheticPairs(references, "SonyA7S2", model=model, crop=16)
-    found.set_epoch(0)
-    sample = found[0]
-    assert sample["input"].shape == sample["target"].shape == (4, 16, 16)
-    assert not torch.equal(sample["input"], sample["target"])
-    assert torch.equal(sample["input"], pickle.loads(pickle.dumps(found))[0]["input"])
-    clip = np.full((3, 4, 8, 8), 0.2, np.float32)
-    made = made_exposure(model, clip, DRAW, np.random.default_rng(0))
-    assert len(np.unique(made.reshape(3, -1), axis=0)) == 3  # each frame of a clip has noise of its own

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +17,6 @@ from tests.noise.helpers import (
     PARAMETERS,
     RANGE_DN,
     RATIO,
-    Law,
-    clean_of,
     compiled_dn,
 )
 
@@ -55,15 +52,6 @@ def test_a_converter_rounds_to_the_nearest(black: float) -> None:
     clean = np.repeat(values, 4).reshape(1, -1, 4).transpose(0, 2, 1)[..., None] * (RATIO / RANGE_DN)
     dn = compiled_dn("B", clean.astype(np.float32), NoiseParameters(1, 0, 0, 0, 0), adc=Adc(black, 16383.0))
     np.testing.assert_allclose(dn[0, 0, :, 0], np.rint(values + black) - black, atol=1e-4)
-
-
-def test_a_converter_has_the_variance_of_uniform_quantisation() -> None:
-    """262144 pixels of 2.1 DN deviation: mean and variance within 5 standard errors."""
-    adc = Adc(512.0, 16383.0)
-    dn = compiled_dn("G", clean_of(np.array([50.3]), (4, 256, 256), PARAMETERS), PARAMETERS, seed=10, adc=adc)
-    law = Law.of("G+U", PARAMETERS, 50.3)
-    assert abs(dn.mean() - law.mean) < 5 * law.mean_error(dn.size, 1)
-    assert abs(np.mean((dn - law.mean) ** 2) - law.variance) < 5 * law.variance_error(dn.size, 1)
 
 
 # --- clip, ratio and range ------------------------------------------------------------------------------------------
@@ -220,23 +208,6 @@ def test_what_a_call_refuses(given: dict[str, Any], said: str) -> None:
 def test_what_a_model_refuses(given: dict[str, Any], said: str) -> None:
     with pytest.raises(ArgumentError, match=said):
         NoiseModel(**given)
-
-
-# --- the object -----------------------------------------------------------------------------------------------------
-
-
-def test_the_repr_rebuilds_the_model() -> None:
-    for model in (
-        NoiseModel(),
-        NoiseModel(clip="none"),
-        NoiseModel("R + P", clip="upper"),
-        NoiseModel("P*", adc=Adc(512.0, 16383.0)),
-    ):
-        again = eval(repr(model), {"NoiseModel": NoiseModel, "Adc": Adc})  # noqa: S307 - our own text
-        assert (again.components, again.clip, again.adc) == (model.components, model.clip, model.adc)
-    same_bits(noisy(FLAT, model=pickle.loads(pickle.dumps(model))), noisy(FLAT, model=model))
-    assert repr(NoiseModel()) == "NoiseModel('P*+G*+B+R+U')"
-    assert repr(NoiseModel(clip="upper").with_clip("none")) == "NoiseModel('P*+G*+B+R+U', clip='none')"
 
 
 # --- memory of the caller's -----------------------------------------------------------------------------------------

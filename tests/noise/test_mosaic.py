@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from eldata.noise import NoiseModel, NoiseParameters
-from eldata.noise.mosaic import pack_whole, unpack_whole
+from eldata.noise.model import pack_whole, unpack_whole
 from tests.cases import in_one_test
 from tests.raw.helpers import CFAS, levels_of
 

@@ -14,8 +14,6 @@ import pytest
 import torch
 from scipy import stats
 
-from eldata.baselines.classical import noise_of_parameters
-from eldata.baselines.noisy_frames import typical
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters, shipped_profiles
 from eldata.noise.profile import LogLogFit, ProfileRow
@@ -227,28 +225,6 @@ def test_lambda_and_colour_bias_come_from_one_row_and_every_row_alike(
     assert abs(np.corrcoef(rows, log_gains(draws))[0, 1]) < 5 * MEAN_ERROR
 
 
-@pytest.mark.parametrize("name", ["NikonD850", "SonyA7S2"])
-def test_nearest_gain_takes_only_the_rows_that_are_nearest(name: str) -> None:
-    profile = CameraProfile.load(name)
-    index = row_index(profile)
-    generator = np.random.default_rng(21)
-    seen = set()
-    for _ in range(500):
-        draw = profile.sample(generator, row="nearest-gain")
-        distance = [abs(math.log((row.gain_dn_per_e or math.nan) / draw.gain_dn_per_e)) for row in profile.rows]
-        numbers = index[draw.tukey_lambda, draw.colour_bias_dn]
-        assert min(distance[number] for number in numbers) == pytest.approx(min(distance), abs=1e-9)
-        seen.update(numbers)
-    # The rows' gains lie at equal distances in ln K, so each is drawn: at least once in 500 (the outermost ones have
-    # half the weight of the others, 1/28 for two rows each: missed with probability 1e-8).
-    inside = {
-        number
-        for number, row in enumerate(profile.rows)
-        if (row.gain_dn_per_e or math.inf) <= profile.gain_range_dn_per_e[1] * 1.0001
-    }
-    assert seen >= inside
-
-
 @pytest.mark.parametrize("row", ["any", "nearest-gain"])
 @BOTH
 def test_a_frame_of_the_drawn_row_gives_the_colour_bias(make: Callable[[int], Generator], row: RowChoice) -> None:
@@ -267,16 +243,6 @@ def test_a_frame_of_the_drawn_row_gives_the_colour_bias(make: Callable[[int], Ge
     observed = [counts[frame] for frame in frames if frame in counts]
     assert stats.chisquare(observed, 3000 * shares).pvalue > LEAST_P_VALUE
     assert WITH_FRAMES.measured(100) == FULL.measured(100)
-
-
-def test_draws_have_the_quantisation_step_of_the_camera() -> None:
-    coarse = dataclasses.replace(FULL, quantisation_step_dn=4.0)
-    for profile, step in ((coarse, 4.0), (FULL, 1.0)):
-        assert profile.sample(np.random.default_rng(1)).quantisation_step_dn == step
-        assert profile.measured(100).quantisation_step_dn == step
-        assert typical(profile, 200).quantisation_step_dn == step
-        variance = noise_of_parameters(profile.measured(100), ratio=1.0, range_dn=1.0).offset
-        assert variance == pytest.approx(2.5**2 + 0.5**2 + step**2 / 12)
 
 
 @BOTH

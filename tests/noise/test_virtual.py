@@ -139,32 +139,7 @@ def test_they_are_a_sequence_of_whole_profiles(tmp_path: Any) -> None:
     assert repr(cameras).startswith("VirtualCameras(5, seed=1; LED (")
 
 
-def test_ranges_of_ones_own() -> None:
-    """A range of one value is that value; gains and rows as stated."""
-    own = dataclasses.replace(
-        LED_RANGES, source="mine", tukey_lambda=(0.1, 0.1), gain_dn_per_e=(1, 9), rows=4, colour_bias_spread_dn=(0, 0)
-    )
-    camera = VirtualCameras(3, own)[1]
-    assert {row.tukey_lambda for row in camera.rows} == {0.1}
-    assert [row.gain_dn_per_e for row in camera.rows] == [2, 4, 6, 8]
-    assert all(len(set(row.colour_bias_dn)) == 1 for row in camera.rows)
-    assert camera.gain_range_dn_per_e == (1, 9)
-
-
 # --- refusals -------------------------------------------------------------------------------------------------------
-
-
-@in_one_test(
-    "options, words",
-    [
-        ({"n": 0}, "n must be 1 or more; found 0"),
-        ({"n": 5, "seed": -1}, "seed must be 0 or more"),
-        ({"n": 5, "ranges": {}}, "ranges must be a CameraRanges"),
-    ],
-)
-def test_cameras_that_make_no_sense(options: Any, words: str) -> None:
-    with pytest.raises(ArgumentError, match=words):
-        VirtualCameras(**options)
 
 
 @in_one_test(

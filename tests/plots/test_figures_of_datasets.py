@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 
 from eldata import CalibrationFrames, DRVDataset, ELDDataset, PackedStore, SyntheticPairs
 from eldata.datasets import Arrays
-from eldata.datasets.looking import drawn_sample
+from eldata.datasets.items import describe_sample
 from eldata.errors import EldataError
 from eldata.isp.preview import brightening, preview
+from eldata.plots.pictures import side_by_side
 from eldata.raw import read_raw
 from tests.calibration.trees import CAMERA, made_tree
 from tests.drv_tree import small_drv
@@ -81,7 +82,7 @@ def test_a_store_draws_its_crop(tree: Tree, tmp_path: Path) -> None:
     sample = packed[5]
     shown = preview(sample["target"].numpy() * brightening(sample["target"].numpy()), packed._seen(5)[1])
     np.testing.assert_array_equal(clean, shown)
-    assert_shows_in_a_notebook(packed, "PackedStore", "eld.h5", "16 x 16, turned")
+    assert_shows_in_a_notebook(packed, "PackedStore", "eld.h5", "crop=16, augment=True")
 
 
 def test_arrays_are_shown_in_the_cameras_own_colours() -> None:
@@ -152,6 +153,7 @@ def test_hostile_names_of_folders_stay_text(tree: Tree, tmp_path: Path) -> None:
     own = copy_tree(tree, tmp_path / HOSTILE.replace("/", "|"))
     eld = ELDDataset(own.data, manifest=own.csv)
     assert_shows_in_a_notebook(eld, HOSTILE.replace("/", "|")[:20])
-    figure = drawn_sample(eld[0] | {"camera": "$\\frac{$ 相机", "path": HOSTILE + "\x1b[2J"}, None)
+    title = describe_sample(eld[0] | {"camera": "$\\frac{$ 相机", "path": HOSTILE + "\x1b[2J"})
+    figure = side_by_side(title, [("input", eld[0]["input"][0].numpy())])
     figure.draw_without_rendering()  # mathematics that cannot be set, and letters that the font lacks, are errors here
     assert "□" in figure.get_suptitle()

@@ -17,10 +17,9 @@ from eldata.base.numbers import checked_number
 from eldata.datasets.base import SIDES
 from eldata.datasets.batches import threads_here
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, DrawnItem, Part
+from eldata.datasets.items import CroppedItems, DrawnItem, Part, keywords_of
 from eldata.datasets.synthetic.dark_frames import GAIN_SPREAD, DarkFrames
-from eldata.datasets.synthetic.draws import NoiseChoice
-from eldata.datasets.synthetic.turns import Turns, fewest_members
+from eldata.datasets.synthetic.draws import NoiseChoice, Turns, fewest_members
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise.model import NoiseModel, check_noise_maker, made_exposure, maker_name
 from eldata.raw.levels import CLIP_RANGES
@@ -134,28 +133,18 @@ class NoisyItems(CroppedItems[Sample]):
             else:
                 np.clip(made_exposure(model, light, draw, generator), *CLIP_RANGES[self.clip], out=exposure)
 
-    def _model_text(self) -> str:
-        return repr(self.model) if isinstance(self.model, NoiseModel) else maker_name(self.model)
-
     def _outline(self) -> list[tuple[str, str]]:
-        """Describe the dataset by names and values."""
         low, high = self.noise.ratio
+        is_ours = isinstance(self.model, NoiseModel)
+        model = repr(self.model) if is_ours else f"{maker_name(self.model)}, clip={self.clip!r}"
+        ranged = "" if self.range_dn is None else f", range_dn={self.range_dn:g}"
         return [
             ("clean frames", repr(self.source)),
             ("cameras", str(self.noise)),
-            ("noise", f"{self._model_text()}, clip {self.clip}"),
+            ("noise", f"{model}{ranged}"),
             ("ratio", f"{low:g}" if low == high else f"{low:g} to {high:g}"),
-            ("items", f"{len(self)}, {'whole frames' if self.crop is None else f'{self.crop} x {self.crop}'}"),
+            *super()._outline(),
         ]
-
-    def _text(self, items: str) -> str:
-        """Return the repr, in which ``items`` says how many there are."""
-        clip = "" if isinstance(self.model, NoiseModel) else f", clip={self.clip!r}"
-        ranged = "" if self.range_dn is None else f", range_dn={self.range_dn:g}"
-        return (
-            f"{type(self).__name__}({self.source!r}, {items}, cameras: {self.noise}; {self._model_text()}{clip}, "
-            f"ratio={self.noise.ratio}{ranged}, {self._cut}, seed={self.seed})"
-        )
 
 
 def draw_dark(
@@ -228,14 +217,19 @@ def _set_clip(owner: str, model: Any, clip: Clip) -> NoiseMaker:
     return model.with_clip(clip)
 
 
-class NoiseFacts(TypedDict):
-    """The parameters that an item's noise was made with (:class:`eldata.noise.NoiseParameters`) and its exposure ratio.
+class SyntheticSample(TypedDict):
+    """One synthetic pair, as torch's default collate accepts it.
 
-    ``colour_bias_dn`` is (4,) float64. ``iso`` is the ISO that was given or drawn, 0 where the gain was drawn;
-    ``camera_id`` the place of the camera in the dataset. ``dark_frame`` names the dark frame of component D, of a
-    clip the dark frames in order; empty: there is none.
+    ``input`` and ``target`` are (C, h, w) float32, normalised; the input is amplified by ``ratio``. ``path`` says where
+    the clean frame comes from. The rest are the parameters that its noise was made with
+    (:class:`eldata.noise.NoiseParameters`): ``colour_bias_dn`` is (4,) float64; ``iso`` is the ISO that was given or
+    drawn, 0 where the gain was drawn; ``camera_id`` the place of the camera in the dataset. ``dark_frame`` names the
+    dark frame of component D, of a clip the dark frames in order; empty: there is none.
     """
 
+    input: torch.Tensor
+    target: torch.Tensor
+    path: str
     ratio: float
     camera: str
     camera_id: int
@@ -249,18 +243,6 @@ class NoiseFacts(TypedDict):
     dark_frame: str
 
 
-class SyntheticSample(NoiseFacts):
-    """One synthetic pair, as torch's default collate accepts it.
-
-    ``input`` and ``target`` are (C, h, w) float32, normalised; the input is amplified by ``ratio``. ``path`` says where
-    the clean frame comes from. The rest are the parameters that its noise was made with.
-    """
-
-    input: torch.Tensor
-    target: torch.Tensor
-    path: str
-
-
 class SyntheticPairs(NoisyItems[SyntheticSample]):
     """Clean crops and noisy exposures of them, made again each time that they are asked for.
 
@@ -271,7 +253,7 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
     ----------
     source
         Clean frames: :class:`~eldata.datasets.clean.CleanFrames`,
-        :class:`~eldata.datasets.synthetic.arrays.Arrays`, or anything with their two methods.
+        :class:`~eldata.datasets.clean.Arrays`, or anything with their two methods.
     profiles
         One camera profile or several (one is drawn for each item), by name, path or object.
     crops_per_frame
@@ -328,11 +310,8 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         iso: Isos | None = None, range_dn: float | None = None, row: RowChoice | None = None, extrapolate: bool = False,
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
-        super().__init__(
-            source, "frame", profiles, ("crops_per_frame", crops_per_frame), model=model, clip=clip,
-            ratio=ratio, iso=iso, range_dn=range_dn, row=row, extrapolate=extrapolate, crop=crop, augment=augment,
-            crops=crops, seed=seed,
-        )  # fmt: skip
+        options = keywords_of(locals(), "crops_per_frame")
+        super().__init__(method="frame", repeats=("crops_per_frame", crops_per_frame), **options)
         self.crops_per_frame = crops_per_frame
 
     def drawn(self, place: int, generator: np.random.Generator) -> NoisyItem:
@@ -342,21 +321,14 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment, tile=tile)
         return self._noisy(place, generator, frame, crop, [Part("target", frame, is_light=True)])
 
-    def __repr__(self) -> str:
-        return self._text(f"{len(self)} items")
 
+class SyntheticClipSample(SyntheticSample):
+    """One synthetic window: ``input`` and ``target`` are (T, C, h, w), ``path`` says where the first frame comes from.
 
-class SyntheticClipSample(NoiseFacts):
-    """One synthetic window, as torch's default collate accepts it.
-
-    ``input`` and ``target`` are (T, C, h, w) float32, normalised; the input is amplified by ``ratio``. ``path`` says
-    where the first clean frame comes from, ``clip`` is the clip's place in the source, ``start`` the first frame's in
-    the clip. The rest are the parameters that the noise of all frames was made with.
+    ``clip`` is the clip's place in the source, ``start`` the first frame's in the clip. The noise of all frames was
+    made with the same parameters.
     """
 
-    input: torch.Tensor
-    target: torch.Tensor
-    path: str
     clip: int
     start: int
 
@@ -403,14 +375,11 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
         iso: Isos | None = None, range_dn: float | None = None, row: RowChoice | None = None, extrapolate: bool = False,
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
+        options = keywords_of(locals(), "frames", "windows_per_clip")
         if frames < 1 or windows_per_clip < 1:
             raise ArgumentError(f"frames and windows_per_clip must be 1 or more; found {frames}, {windows_per_clip}")
-        super().__init__(
-            source, "clip", profiles, ("windows_per_clip", windows_per_clip), frames, model=model, clip=clip,
-            ratio=ratio, iso=iso, range_dn=range_dn, row=row, extrapolate=extrapolate, crop=crop, augment=augment,
-            crops=crops, seed=seed,
-        )  # fmt: skip
-        self.frames = frames
+        super().__init__(method="clip", repeats=("windows_per_clip", windows_per_clip), exposures=frames, **options)
+        self.frames, self._unit = frames, f"windows of {frames} frames"
         self.windows_per_clip = windows_per_clip
 
     @property
@@ -438,9 +407,6 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
             _check_alike(frame, first)
             yield Part("target", frame, step, is_light=True)
             del frame
-
-    def __repr__(self) -> str:
-        return self._text(f"{len(self)} windows of {self.frames} frames")
 
 
 def _check_alike(frame: Frame, first: Frame) -> None:

@@ -29,13 +29,14 @@ from eldata.base.files import (
     write_json,
     write_text,
 )
+from eldata.base.numbers import checked_number
 from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import CleanScene, clean_scenes
 from eldata.datasets.crops import Crop
 from eldata.datasets.synthetic.dark_frames import DarkFrames
+from eldata.datasets.synthetic.draws import Turns
 from eldata.datasets.synthetic.pairs import check_scale, draw_dark
-from eldata.datasets.synthetic.turns import Turns, draw_splits
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
 from eldata.manifest.catalogue import save_manifest
@@ -64,7 +65,7 @@ if TYPE_CHECKING:
     from eldata.noise.profile import CameraProfile, RowChoice
 
 Format = Literal["dng", "npy"]
-_NOISE = 6  # a purpose of random numbers
+_NOISE, _SPLIT = 6, 7  # purposes of random numbers
 _BEGUN = ".begun"
 
 
@@ -225,6 +226,26 @@ def synthesize(
     manifest = _write_tables(out, name, recipe, sources, splits, clean_facts, dark)
     (out / _BEGUN).unlink(missing_ok=True)  # another process may have done the same
     return manifest
+
+
+def draw_splits(seed: int, shares: tuple[float, float] | None, count: int) -> list[str]:
+    """Draw the split of each of so many scenes or clips, ``train`` or ``test``, by their shares; ``None``: no splits.
+
+    Raises
+    ------
+    ArgumentError
+        If a share is not above 0, or one of the splits would be empty.
+    """
+    if shares is None:
+        return [""] * count
+    train, test = (checked_number("split", share, above=0) for share in shares)
+    held = round(count * test / (train + test))
+    if not 0 < held < count:
+        raise ArgumentError(
+            f"split {train:g}:{test:g} of {count} scenes or clips leaves {held} to test on; give more, or other shares"
+        )
+    chosen = set(np.random.default_rng(purpose_sequence(seed, 0, _SPLIT)).permutation(count)[:held].tolist())
+    return ["test" if number in chosen else "train" for number in range(count)]
 
 
 def _begin(out: Path, work: str) -> None:

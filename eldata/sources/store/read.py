@@ -260,7 +260,7 @@ def _damage_error(path: Path, what: object) -> StoreError:
 
 
 def hdf5_layout(shape: tuple[int, ...], compression: Compression) -> Mapping[str, Any]:
-    """Return how h5py lays out a frame, (H, W) or (3, H, W), after making sure that HDF5 knows the compression.
+    """Return h5py's options for the layout of a frame, (H, W) or (3, H, W), once HDF5 knows the compression.
 
     HDF5's checksums find damage before the compression's filter, which believes what a chunk says of itself, sees it.
 
@@ -286,7 +286,7 @@ def hdf5_layout(shape: tuple[int, ...], compression: Compression) -> Mapping[str
 
 
 def encode_facts(frames: Iterable[StoredFrame]) -> bytes:
-    """Return what frames have beside their pixels as JSON; what several state alike stands there once.
+    """Write all facts of frames but their pixels as JSON; what several state alike stands there once.
 
     ``{"sensors": [[fields, whites], ...], "exposures": [fields, ...], "frames": [[path, role, sha256, sensor's number,
     exposure's number], ...]}``. A number that floats do not hold is a fraction's text.
@@ -316,8 +316,6 @@ def decode_facts(facts: bytes, crc32: int) -> list[StoredFrame]:
     frames = []
     for number, (path, role, sha256, sensor, exposure) in enumerate(data["frames"]):
         key, stated = frame_key(number), (sensors[sensor][0], exposures[exposure], sensors[sensor][1])
-        if not (isinstance(path, str) and isinstance(sha256, str)):
-            raise TypeError(f"frame {key}: path {path!r}, sha256 {sha256!r}")
         frames.append(StoredFrame(key, path, role, sha256, *stated))
     return frames
 

@@ -17,11 +17,10 @@ import pytest
 
 from eldata.base.arrays import read_rgb16
 from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, ManifestError, RawFileError
-from eldata.manifest.layouts import scan_raw
 from eldata.raw import read_raw
 from eldata.records import Exposure, exact_fraction
 from eldata.sources.store import Store, build_store, source_of_dataset, source_of_folder, verify_store, write
-from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
+from tests.drv_tree import SmallDrv, small_drv
 from tests.raw.helpers import random_mosaic, write_plain_dng
 from tests.sources.store.helpers import Packed, contents, pack_folder, pack_tree, write_clean
 from tests.syncing import OnDisk
@@ -75,12 +74,6 @@ def test_a_store_holds_every_file_once_as_decoded(compression: Any, jobs: int, t
     assert sorted(path.name for path in tmp_path.iterdir()) == ["store.h5"]
 
 
-def test_a_store_of_clean_frames_holds_no_manifest(clean: Packed) -> None:
-    store = Store(clean.store)
-    assert (store.manifest, store.dataset) == (None, "raws")
-    assert [(frame.path, frame.role) for frame in store.frames] == [(f"{n}.dng", "reference") for n in range(4)]
-
-
 def test_a_store_keeps_fractions(tmp_path: Path) -> None:
     """Levels, white balance and matrix come back to the last digit, negative ones too, with the matrix's light."""
     (tmp_path / "clean").mkdir()
@@ -125,21 +118,6 @@ def test_rgb_clips_stand_in_order_with_their_reference_first(drv: SmallDrv, tmp_
     by_path = {record.path: record.reference for record in store.manifest.records}
     assert by_path["VBM4D_rawRGB/0007/0003.png"] == "long/0007/half0001_0.png"
     assert by_path["VBM4D_rawRGB/M0003/0003.png"] is None
-
-
-def test_raw_clips_are_mosaics(tmp_path: Path) -> None:
-    for clip in ("0007", "M0003"):
-        write_raw_clip(tmp_path / "DRV", clip, 3)
-    long = tmp_path / "DRV" / "long" / "0007"
-    (long / "other.ARW").write_bytes((long / "DSC00001.ARW").read_bytes())
-    with pytest.raises(DatasetError, match="has 2 long exposures"):
-        source_of_dataset("drv-raw", root=tmp_path)
-    listed = scan_raw(tmp_path / "DRV", reference="DSC*").save(tmp_path / "drv-raw.csv")
-    source = source_of_dataset("drv-raw", root=tmp_path, manifest=listed.path)
-    assert len(source.files) == 7  # and not the unused one
-    store = build_store(source, tmp_path / "raw.h5")
-    for frame in store.frames:
-        np.testing.assert_array_equal(store.frame(frame.path).whole(), read_raw(tmp_path / "DRV" / frame.path).mosaic)
 
 
 # --- what is packed, and what cannot be ---------------------------------------------------------------------------
@@ -236,19 +214,6 @@ def test_a_signal_while_hdf5_writes_comes_after_it_and_leaves_nothing(
     monkeypatch.setattr(write, "_Disk", Disk)
     with pytest.raises(KeyboardInterrupt):
         build_store(clean.source, tmp_path / "store.h5", compression=compression)
-    assert h5py.h5f.get_obj_count() == opened
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_ctrl_c_leaves_nothing(clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    opened = h5py.h5f.get_obj_count()
-    with monkeypatch.context() as patch:
-        patch.setattr("eldata.sources.store.write.encode_facts", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            build_store(clean.source, tmp_path / "store.h5", workers=2)
     assert h5py.h5f.get_obj_count() == opened
     assert list(tmp_path.iterdir()) == []
 

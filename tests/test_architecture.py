@@ -301,7 +301,7 @@ SHOWN = (
     ),
     # Words of results and protocols; what of a result is chosen, grouped and decoded to be looked at.
     *("eldata.evaluation.scores", "eldata.evaluation.comparison", "eldata.evaluation.looking"),
-    *("eldata.protocols.kinds", "eldata.protocols.words"),
+    *("eldata.metrics.registry", "eldata.protocols.words"),
 )
 LIBRARIES = {"numpy", "matplotlib", "jinja2", "PIL"}
 STATISTICS = {
@@ -344,7 +344,7 @@ READER = "eldata.base.fields"
 WRITES = {
     "eldata.base.files": "the one writer of JSON files",
     "eldata.base.visible": "a value in a sentence",
-    "eldata.protocols.digests": "what a digest is made of",
+    "eldata.protocols.protocol": "what a digest is made of",
     "eldata.reports.evaluation": "one value of a setting in a sentence",
     "eldata.sources.store.read": "a data set of an HDF5 store",
     "capture.checklist": "what a digest is made of, and a script's data",

@@ -12,7 +12,7 @@ from eldata.base.arrays import is_tensor
 from eldata.errors import ArgumentError, check_choice
 from eldata.metrics._images import check_data_range, check_threads, host_array, pair, total, totals
 from eldata.metrics._kernels import products, squared_error
-from eldata.metrics.registry import Covariance, PredictionClamp, Rescaling, RescalingMask, Rounding, SsimWindow
+from eldata.metrics.registry import Covariance, PredictionClamp, Rescaling, Rounding, SsimWindow
 from eldata.metrics.similarity import AS_IT_IS, check_windowing, error_and_ssim, side_of, treated
 
 if TYPE_CHECKING:
@@ -31,36 +31,32 @@ class ScoringRules:
     ----------
     rescaling
         ``scalar``: the prediction is multiplied by the one factor that minimises its squared error,
-        ``<p, g> / <p, p>``; ``none``: it is scored as it is.
-    rescaling_mask
-        Entries that the factor is found over: ``unsaturated``, where the reference is not exactly 1, or ``all``.
+        ``<p, g> / <p, p>`` where the reference is not exactly 1; ``none``: it is scored as it is.
     prediction_clamp
         When the prediction is clamped to [0, 1]: ``both``, before and after the factor, ``before`` it alone (the factor
         is found on the clamped prediction in either case), or ``none``, never.
     rounding
         ``8-bit``: prediction and reference are rounded to the nearest 1/255 before they are compared;
         ``8-bit-truncated``: rounded down; ``none``: not rounded.
-    data_range
-        Range of PSNR and SSIM.
     mse_offset
         Added to the mean squared error before PSNR's logarithm.
     ssim_window, ssim_covariance
         As :func:`eldata.metrics.ssim` has them.
+    data_range
+        Range of PSNR and SSIM: 1, or 255 of 8-bit codes.
     """
 
     rescaling: Rescaling = "scalar"
-    rescaling_mask: RescalingMask = "unsaturated"
     prediction_clamp: PredictionClamp = "both"
     rounding: Rounding = "none"
-    data_range: float = 1.0
     mse_offset: float = 0.0
     ssim_window: SsimWindow = "uniform-7"
     ssim_covariance: Covariance = "sample"
+    data_range: float = 1.0
 
     def check(self) -> None:
         """Raise :class:`ArgumentError` if a field has an invalid value."""
         check_choice("rescaling", self.rescaling, get_args(Rescaling))
-        check_choice("rescaling_mask", self.rescaling_mask, get_args(RescalingMask))
         check_choice("prediction_clamp", self.prediction_clamp, get_args(PredictionClamp))
         check_choice("rounding", self.rounding, get_args(Rounding))
         check_windowing(self.ssim_window, self.ssim_covariance)
@@ -251,10 +247,9 @@ def _factor(images: Pair, rules: ScoringRules, threads: int | None) -> float:
     if rules.rescaling == "none":
         return 1.0
     low, high = rules.treatment(1.0)[:2]
-    left_out = 1.0 if rules.rescaling_mask == "unsaturated" else math.nan  # nothing equals NaN
 
     def work(band: Band) -> tuple[float, float]:
-        return products(*images.blocks(band), low, high, left_out)
+        return products(*images.blocks(band), low, high)
 
     pg, pp = totals(images.over_bands(work, threads))
     return pg / pp if pp != 0.0 else 1.0

@@ -9,9 +9,16 @@ from typing import TYPE_CHECKING, Any
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, ManifestError, did_you_mean
-from eldata.protocols.digests import NEUTRAL, scoring
-from eldata.protocols.kinds import IMAGES
-from eldata.protocols.protocol import ANY_DATASET, CHOICES, ONE_CAMERAS_LEVELS, ClipProtocol, Protocol
+from eldata.metrics.registry import IMAGES
+from eldata.protocols.protocol import (
+    ANY_DATASET,
+    CHOICES,
+    NEUTRAL,
+    ONE_CAMERAS_LEVELS,
+    ClipProtocol,
+    Protocol,
+    scoring,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -170,7 +177,6 @@ def protocols_for(dataset: str) -> tuple[Protocol, ...]:
 
 _BASE = "base"
 _LISTS_OF_TEXT = ("cameras", "scenes")
-_NUMBERS = ("data_range", "mse_offset")
 _KNOWN = (_BASE, *(name for name in names_of(Protocol) if name != "family"))
 _LARGEST_BYTES = 1 << 20
 
@@ -236,7 +242,7 @@ def _field_of(top: Fields, name: str) -> Any:
         return top.choice(name, tuple(PROTOCOLS))
     if name in CHOICES:
         return top.choice(name, CHOICES[name])
-    if name in _NUMBERS:
+    if name == "mse_offset":
         return top.number(name)
     if name == "ratios":
         return top.each(name, _ratio, expected="a list of positive numbers, such as [100, 200]; [] for all")

@@ -179,7 +179,7 @@ ONLY = {
     "eldata.download": ("eldata.errors", "eldata.records", "eldata.base", "eldata.manifest"),
     "capture": (
         *("eldata.errors", "eldata.records", "eldata.base", "eldata.raw", "eldata.manifest"),
-        *("eldata.isp.preview", "eldata.reports.html"),  # the pictures and the page of its own sheets
+        *("eldata.isp.rendering", "eldata.reports.html"),  # the pictures and the page of its own sheets
     ),
 }
 # Rooms that only these import.

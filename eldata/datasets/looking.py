@@ -9,7 +9,7 @@ import numpy as np
 
 from eldata.base.tables import block, facts, picture
 from eldata.errors import EldataError
-from eldata.isp.preview import brightening, preview
+from eldata.isp.rendering import brightening, preview
 from eldata.plots.pictures import side_by_side, thumbnail
 
 if TYPE_CHECKING:

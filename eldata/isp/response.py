@@ -14,6 +14,7 @@ import numpy as np
 from eldata.base.fields import TextFile
 from eldata.base.numbers import number_of
 from eldata.errors import ArgumentError, FileError
+from eldata.isp.rendering import Gamma
 
 if TYPE_CHECKING:
     import torch
@@ -131,11 +132,6 @@ class ResponseCurve:
         rows = [*(self.irradiance[:1] if shared else self.irradiance), *self.brightness]
         return f"{_CURVE}{'; '.join(' '.join(repr(float(value)) for value in row) for row in rows)}"
 
-    def describe(self) -> str:
-        """Say in a few words what it is."""
-        curves = "one curve for R, G and B" if len(self.irradiance) == 1 else "a curve each for R, G, B"
-        return f"camera response {self.name} ({curves}, {self.irradiance.shape[1]} points)"
-
     def __repr__(self) -> str:
         return f"ResponseCurve({self.name!r}, {len(self.irradiance)} x {self.irradiance.shape[1]} points)"
 
@@ -182,8 +178,6 @@ def response_of(text: str) -> Response:
     ArgumentError
         If it is neither, or no curve from 0 to 1.
     """
-    from eldata.isp.rendering import Gamma
-
     try:
         if text.startswith(_GAMMA):
             exponent = number_of(text.removeprefix(_GAMMA))

@@ -9,7 +9,7 @@ import rawpy
 
 from eldata.demo.camera import CAMERAS
 from eldata.errors import ArgumentError
-from eldata.isp.preview import preview, srgb_encode
+from eldata.isp.rendering import preview, srgb_encode
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw

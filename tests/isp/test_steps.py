@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from eldata.errors import ArgumentError
-from eldata.isp.steps import (
+from eldata.isp.rendering import (
     bin_colours,
     colour_matrix,
     gamma_curve,
@@ -59,23 +59,6 @@ def test_colour_matrix(leading: tuple[int, ...]) -> None:
     rgb = packed_data(4, leading)[..., :3, :, :]
     pixels = np.moveaxis(rgb.numpy(), -3, -1) @ MATRIX.numpy().T
     np.testing.assert_allclose(colour_matrix(rgb, MATRIX).numpy(), np.moveaxis(pixels, -1, -3), rtol=1e-13, atol=1e-15)
-
-
-def test_a_batch_may_have_numbers_of_its_own() -> None:
-    packed = packed_data(4, (2, 3))
-    multipliers = torch.stack([MULTIPLIERS, MULTIPLIERS.flip(0)])
-    matrices = torch.stack([MATRIX, torch.eye(3, dtype=torch.float64)])
-    balanced, coloured = white_balance(packed, multipliers), colour_matrix(packed[..., :3, :, :], matrices)
-    for item in range(2):
-        torch.testing.assert_close(balanced[item], white_balance(packed[item], multipliers[item]))
-        torch.testing.assert_close(coloured[item], colour_matrix(packed[item, :, :3], matrices[item]))
-
-
-@pytest.mark.parametrize("exponent", [1.8, 2.2])
-def test_gamma_curve(exponent: float) -> None:
-    linear = torch.linspace(0, 1, 1001, dtype=torch.float64)
-    expected = np.maximum(linear.numpy(), 1e-8) ** (1 / exponent)
-    np.testing.assert_allclose(gamma_curve(linear, exponent).numpy(), expected, rtol=1e-14)
 
 
 def test_the_slope_of_gamma_at_black_is_finite() -> None:
@@ -137,16 +120,3 @@ def test_what_is_not_packed_is_refused(shape: tuple[int, ...]) -> None:
 def test_integers_are_refused() -> None:
     with pytest.raises(ArgumentError, match="floating-point"):
         bin_colours(torch.zeros(4, 5, 6, dtype=torch.int32))
-
-
-@pytest.mark.parametrize("shape", [(3,), (3, 4), (1, 2, 4)])
-def test_other_numbers_of_multipliers_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ArgumentError, match="multipliers must have shape"):
-        white_balance(torch.zeros(2, 4, 5, 6), torch.ones(shape))
-
-
-def test_other_matrices_are_refused() -> None:
-    with pytest.raises(ArgumentError, match="colour matrix must have shape"):
-        colour_matrix(torch.zeros(3, 5, 6), torch.ones(3, 4))
-    with pytest.raises(ArgumentError, match=r"\(\.\.\., 3, h, w\)"):
-        colour_matrix(torch.zeros(4, 5, 6), torch.ones(3, 3))

@@ -17,7 +17,7 @@ from eldata import CalibrationFrames, DRVDataset, ELDDataset, PackedStore, Synth
 from eldata.datasets import Arrays, CleanFrames
 from eldata.datasets.looking import drawn_sample
 from eldata.errors import EldataError
-from eldata.isp.preview import brightening, preview
+from eldata.isp.rendering import brightening, preview
 from eldata.plots.axes import Drawing
 from eldata.raw import read_raw
 from tests.calibration.trees import CAMERA, made_tree

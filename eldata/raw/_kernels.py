@@ -35,25 +35,6 @@ def gather_bayer(mosaic: NDArray[Any], packed: NDArray[Any], channel: NDArray[np
 
 
 @kernel
-def scatter_bayer(
-    packed: NDArray[Any], top: int, left: int, channel: NDArray[np.int64], scale: Any, mosaic: NDArray[Any]
-) -> None:
-    """Fill a Bayer mosaic from the part of ``packed`` that begins at (top, left), times ``scale``.
-
-    ``channel`` (2, 2) names the packed channel of each site. The whole array comes with the part's place, for the
-    compiler does not know that the rows of a part are contiguous.
-    """
-    for i in range(mosaic.shape[0] // 2):
-        for y in range(2):
-            even, odd = packed[channel[y, 0], top + i], packed[channel[y, 1], top + i]
-            even, odd = even[left:], odd[left:]
-            target = mosaic[2 * i + y]
-            for j in range(mosaic.shape[1] // 2):
-                target[2 * j] = even[j] * scale
-                target[2 * j + 1] = odd[j] * scale
-
-
-@kernel
 def pack_bayer_normalised(
     mosaic: NDArray[Any],
     packed: NDArray[np.float32],

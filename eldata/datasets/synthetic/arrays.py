@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.compiled import scratch
+from eldata.base.compiled import kernel, scratch
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 from eldata.noise.model import check_normalised
-from eldata.raw._kernels import scatter_bayer
 from eldata.raw.levels import packing_sites, unpack
 from eldata.sources.frames import Frame, Pixels
 
@@ -84,7 +83,7 @@ class Arrays:
         row, column = (top - above) // scale, (left - before) // scale
         if period == 2 and packed.dtype == np.float32:
             whole: NDArray[np.float32] = scratch("unpacked", (height, width), range_dn.dtype)
-            scatter_bayer(packed, row, column, sites.channel_of, range_dn, whole)
+            _scatter_bayer(packed, row, column, sites.channel_of, range_dn, whole)
         else:
             periods = packed[:, row : row + height // scale, column : column + width // scale]
             whole = unpack(periods.astype(np.float32, copy=False), sites.cfa)
@@ -93,3 +92,22 @@ class Arrays:
 
     def __repr__(self) -> str:
         return f"Arrays({len(self)} frames of shape {self.arrays[0].shape}, range_dn={self.range_dn:g})"
+
+
+@kernel
+def _scatter_bayer(
+    packed: NDArray[Any], top: int, left: int, channel: NDArray[np.int64], scale: Any, mosaic: NDArray[Any]
+) -> None:
+    """Fill a Bayer mosaic from the part of ``packed`` that begins at (top, left), times ``scale``.
+
+    ``channel`` (2, 2) names the packed channel of each site. The whole array comes with the part's place, for the
+    compiler does not know that the rows of a part are contiguous.
+    """
+    for i in range(mosaic.shape[0] // 2):
+        for y in range(2):
+            even, odd = packed[channel[y, 0], top + i], packed[channel[y, 1], top + i]
+            even, odd = even[left:], odd[left:]
+            target = mosaic[2 * i + y]
+            for j in range(mosaic.shape[1] // 2):
+                target[2 * j] = even[j] * scale
+                target[2 * j + 1] = odd[j] * scale

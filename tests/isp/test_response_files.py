@@ -52,13 +52,3 @@ def test_a_table_of_four_columns(colours: int, tmp_path: Path) -> None:
     curve = read_response_table(tmp_path / "curve.txt")
     np.testing.assert_array_equal(curve.brightness, brightness)
     np.testing.assert_array_equal(curve.irradiance, np.broadcast_to(GRID, brightness.shape))
-
-
-def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ResponseFileError, match=r"absent\.txt: cannot be read: No such file"):
-        read_response_table(tmp_path / "absent.txt")
-    with pytest.raises(ResponseFileError, match="cannot be read: Is a directory"):
-        read_response_table(tmp_path)
-    (tmp_path / "picture.txt").write_bytes(bytes(range(256)))
-    with pytest.raises(ResponseFileError, match=r"picture\.txt: is not a text file"):
-        read_response_table(tmp_path / "picture.txt")

@@ -11,7 +11,6 @@ import torch
 from eldata.errors import ArgumentError
 from eldata.isp.rendering import (
     bin_colours,
-    colour_matrix,
     gamma_curve,
     round_to_8_bits,
     truncate_to_8_bits,
@@ -54,27 +53,11 @@ def test_binning_averages_the_channels_of_a_colour(channels: int, leading: tuple
     np.testing.assert_allclose(bin_colours(packed).numpy(), expected, rtol=1e-14)
 
 
-@pytest.mark.parametrize("leading", LEADING)
-def test_colour_matrix(leading: tuple[int, ...]) -> None:
-    rgb = packed_data(4, leading)[..., :3, :, :]
-    pixels = np.moveaxis(rgb.numpy(), -3, -1) @ MATRIX.numpy().T
-    np.testing.assert_allclose(colour_matrix(rgb, MATRIX).numpy(), np.moveaxis(pixels, -1, -3), rtol=1e-13, atol=1e-15)
-
-
 def test_the_slope_of_gamma_at_black_is_finite() -> None:
     linear = torch.tensor([0.0, -1.0, 1e-9, 1e-8, 0.5], dtype=torch.float64, requires_grad=True)
     (gradient,) = torch.autograd.grad(gamma_curve(linear).sum(), linear)
     assert gradient.isfinite().all()
     assert gradient[:3].tolist() == [0, 0, 0]
-
-
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32, torch.float64])
-def test_dtype_and_device_stay(dtype: torch.dtype) -> None:
-    packed = packed_data(4).to(dtype)
-    for result in (white_balance(packed, MULTIPLIERS), bin_colours(packed), gamma_curve(packed)):
-        assert (result.dtype, result.device) == (dtype, packed.device)
-    # "meta" is a device without values: a constant left on the CPU would be refused.
-    assert colour_matrix(bin_colours(white_balance(packed.to("meta"), MULTIPLIERS)), MATRIX).device.type == "meta"
 
 
 # --- 8 bits -------------------------------------------------------------------------------------------------------

@@ -18,7 +18,6 @@ from tests.raw.helpers import (
     BAYER,
     Tag,
     active_area,
-    add_tags,
     black_levels,
     letters,
     random_mosaic,
@@ -64,13 +63,6 @@ def test_a_level_written_as_a_float_is_exact(kind: str, tmp_path: Path) -> None:
     write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags)
     with pytest.raises(RawFileError, match="its BlackLevel is not a number"):
         read_raw(tmp_path / "a.dng")
-
-
-@pytest.mark.parametrize("tag", [BLACK, 50715, 50716])
-def test_a_level_of_no_numbers_is_none(tag: int, tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66))
-    add_tags(tmp_path / "a.dng", (tag, "I", 0, (), True))
-    assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (0,) * 4
 
 
 # --- what is refused -------------------------------------------------------------------------------------------

@@ -277,6 +277,3 @@ def test_opcodes_beyond_their_list_are_refused(damaged: Tag, tmp_path: Path) -> 
     write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 64), ("RG", "GB"), damaged)
     with pytest.raises(RawFileError, match=r"a\.dng: damaged: its list of opcodes .* 40 bytes"):
         read_raw(tmp_path / "a.dng")
-
-
-# --- verify -------------------------------------------------------------------------------------------------------

@@ -28,10 +28,6 @@ _END_TOLERANCE = 1e-4
 _SEPARATORS = re.compile(r"[\s,;]+")
 
 
-class ResponseFileError(FileError):
-    """A file with a response curve cannot be used."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ResponseCurve:
     """Brightness as a function of irradiance, both in [0, 1], one curve for all colours or one each for R, G, B.
@@ -143,21 +139,21 @@ def read_response_table(path: Path | str) -> ResponseCurve:
 
     Raises
     ------
-    ResponseFileError
+    FileError
         If the file is missing, not text, has lines of other lengths, or the curve does not rise from 0 to 1.
     """
     path = Path(path)
-    lines = TextFile(path, ResponseFileError).text("a text file with a response curve").splitlines()
+    lines = TextFile(path, FileError).text("a text file with a response curve").splitlines()
     rows = []
     for number, line in enumerate(lines, 1):
         try:
             rows.append([number_of(text) for text in _SEPARATORS.split(line.partition("#")[0].strip()) if text])
         except ArgumentError as error:
-            raise ResponseFileError(path, f"line {number}: {error}") from error
+            raise FileError(path, f"line {number}: {error}") from error
     rows = [row for row in rows if row]
     widths = {len(row) for row in rows}
     if widths not in ({2}, {4}):
-        raise ResponseFileError(
+        raise FileError(
             path,
             "expected lines of 2 numbers (irradiance, brightness) or 4 (irradiance, brightness of R, G, B); found "
             f"{'no line of numbers' if not rows else f'lines of {sorted(widths)} numbers'}",
@@ -166,7 +162,7 @@ def read_response_table(path: Path | str) -> ResponseCurve:
     try:
         return ResponseCurve(np.broadcast_to(irradiance, (len(brightness), len(rows))), np.array(brightness), path.stem)
     except ArgumentError as error:
-        raise ResponseFileError(path, str(error)) from error
+        raise FileError(path, str(error)) from error
 
 
 @lru_cache(maxsize=8)

@@ -65,7 +65,7 @@ class ScoringRules:
             raise ArgumentError(f"mse_offset must be finite and not negative; found {self.mse_offset}")
 
     def treatment(self, factor: float) -> Treatment:
-        """Return how a prediction's values are treated, given the factor."""
+        """Make the treatment of a prediction's values from the factor."""
         before = (-math.inf, math.inf) if self.prediction_clamp == "none" else (0.0, 1.0)
         after = (0.0, 1.0) if self.prediction_clamp == "both" else (-math.inf, math.inf)
         return (*before, factor, *after)
@@ -91,7 +91,7 @@ class Score:
 
 
 def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, threads: int | None = None) -> float:
-    """Return the peak signal-to-noise ratio, ``10 log10(data_range^2 / MSE)``.
+    """Compute the peak signal-to-noise ratio, ``10 log10(data_range^2 / MSE)``.
 
     The mean squared error is that of all channels together. Nothing is clipped.
 
@@ -136,7 +136,7 @@ def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, thread
 
 
 def decibels(mean_squared_error: float, data_range: float) -> float:
-    """Return the PSNR of a mean squared error."""
+    """Convert a mean squared error to PSNR."""
     if mean_squared_error == 0.0:
         return math.inf
     return 20.0 * math.log10(data_range) - 10.0 * math.log10(mean_squared_error)
@@ -182,8 +182,8 @@ def score(
     >>> from eldata.metrics import score
     >>> generator = np.random.default_rng(0)
     >>> reference = generator.uniform(0, 0.9, (4, 64, 64))
-    >>> found = score(0.5 * (reference + generator.normal(0, 0.05, reference.shape)), reference, rescaling="scalar")
-    >>> round(found.psnr_db, 2), round(found.rescale, 2)
+    >>> result = score(0.5 * (reference + generator.normal(0, 0.05, reference.shape)), reference, rescaling="scalar")
+    >>> round(result.psnr_db, 2), round(result.rescale, 2)
     (26.21, 1.98)
     """
     return score_by(prediction, reference, ScoringRules(rescaling=rescaling), threads=threads)
@@ -256,7 +256,7 @@ def _factor(images: Pair, rules: ScoringRules, threads: int | None) -> float:
 
 
 def as_compared(prediction: Image, reference: Image, rules: ScoringRules, factor: float) -> tuple[Array, Array]:
-    """Return both images as :func:`score_by` compares them: the prediction treated, both rounded where rules say so.
+    """Treat the prediction, and round both images where rules say so: as :func:`score_by` compares them.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ def as_compared(prediction: Image, reference: Image, rules: ScoringRules, factor
 
 
 def _rounded(images: Pair, rules: ScoringRules, treatment: Treatment) -> Pair:
-    """Return both images as 8-bit codes, which float32 holds exactly."""
+    """Round both images to 8-bit codes, which float32 holds exactly."""
     half = 0.5 if rules.rounding == "8-bit" else 0.0
 
     def codes(image: Array, treatment: Treatment) -> NDArray[np.float32]:
@@ -298,7 +298,7 @@ def _rounded(images: Pair, rules: ScoringRules, treatment: Treatment) -> Pair:
 
 
 def rescale_factor(prediction: Image, reference: Image, *, threads: int | None = None) -> float:
-    """Return the factor by which ELD's evaluation multiplies a prediction before it is scored.
+    """Compute the factor by which ELD's evaluation multiplies a prediction before it is scored.
 
     With the prediction p clamped to [0, 1] and the reference g, it is ``<p, g> / <p, p>`` over the entries
     where g is not exactly 1 (saturated): the least-squares factor. This is the illuminance correction of the
@@ -339,7 +339,7 @@ def rescale(prediction: Array, reference: Image) -> Array: ...
 @overload
 def rescale(prediction: torch.Tensor, reference: Image) -> torch.Tensor: ...
 def rescale(prediction: Image, reference: Image) -> Image:
-    """Return the prediction as ELD's evaluation scores it: ``clip(alpha * clip(p, 0, 1), 0, 1)``.
+    """Rescale the prediction as ELD's evaluation scores it: ``clip(alpha * clip(p, 0, 1), 0, 1)``.
 
     ``alpha`` is :func:`rescale_factor`. The arithmetic is float64 on the host.
 

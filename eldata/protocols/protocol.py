@@ -243,7 +243,7 @@ class Protocol(_Described):
         return "metadata" if self.levels == "metadata-per-channel" else self.levels
 
     def covers(self, dataset: str) -> bool:
-        """Return whether it is for a dataset of this name."""
+        """Say whether it is for a dataset of this name."""
         return self.dataset in (ANY_DATASET, dataset) or dataset.startswith(f"{self.dataset}-")
 
     def as_dict(self) -> dict[str, Any]:
@@ -253,7 +253,7 @@ class Protocol(_Described):
         return plain | {"prediction_space": made, "psnr": self.psnr, "ssim": self.ssim}
 
     def crop(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
-        """Return the index of the region in an image of this shape, (C, h, w).
+        """Index the region in an image of this shape, (C, h, w).
 
         Raises
         ------
@@ -268,7 +268,7 @@ class Protocol(_Described):
         return self.region if self.rescaling_region == SCORED else self.rescaling_region
 
     def factor_crop(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
-        """Return the index of what the factor is found on, as :meth:`crop` does; of the region if there is none."""
+        """Index the part that the factor is found on, as :meth:`crop` does; the region if there is no factor."""
         return _crop(self.region if self.rescaling == "none" else self.factor_region, shape)
 
     def check(self) -> None:
@@ -325,12 +325,12 @@ def _crop(region: str, shape: tuple[int, ...]) -> tuple[slice, ...]:
 
 
 def _kind_and_size(field: str, region: str) -> tuple[str, int]:
-    """Return a region's kind and its size in packed pixels."""
-    found = _REGION.fullmatch(region)
-    if found is None:
+    """Split a region into its kind and its size in packed pixels."""
+    match = _REGION.fullmatch(region)
+    if match is None:
         other = f", or {SCORED!r}" if field == "rescaling_region" else ""
         raise ArgumentError(f"{field} must be 'full', 'centre-N' or 'border-N'{other}; found {region!r}")
-    return found[1] or "full", int(found[2] or 0)
+    return match[1] or "full", int(match[2] or 0)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -509,11 +509,11 @@ class ClipProtocol(Protocol):
         return "of the grey frames after rescaling, frames in pairs 0-1, 2-3, as scikit-video 1.1.11 has it"
 
     def covers(self, dataset: str) -> bool:
-        """Return whether it is for a dataset of this name."""
+        """Say whether it is for a dataset of this name."""
         return self.dataset == dataset != OWN_SEQUENCES
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what it states as plain types, with the definitions of its metrics."""
+        """List what it states as plain types, with the definitions of its metrics."""
         every = Protocol.as_dict(self)  # super() does not find its class in one with slots
         more = {name: value for name, value in every.items() if value != NEUTRAL.get(name, value)}
         return {name: getattr(self, name) for name in _STATED} | more

@@ -145,7 +145,7 @@ HEADER = ("protocol", "dataset", "pairs", "unlike eld")
 
 
 def summary(protocol: Protocol, eld: Protocol) -> tuple[str, ...]:
-    """Return a protocol's cells in such a list, of which the last says in what it differs from the paper's."""
+    """Make a protocol's cells of such a list; the last names its differences from the paper's."""
     own, usual = _distinguished(protocol), _distinguished(eld)
     unlike = "; ".join(f"{name} {cell}" for name, cell in own.items() if cell != usual[name])
     return protocol.name, protocol.dataset, _pairs(protocol), unlike
@@ -161,7 +161,7 @@ def _pairs(protocol: Protocol) -> str:
 
 
 def _distinguished(protocol: Protocol) -> dict[str, str]:
-    """Return in short what distinguishes protocols from one another."""
+    """Summarise what distinguishes protocols from one another."""
     levels = {"published": "16383", "metadata": "file", "metadata-per-channel": "file, channel"}
     levels |= {"sid-sony": "16383, black 512", "sid-fuji": "16383, black 1024", "lrid": "1023, black 64"}
     scalar = "yes" if protocol.factor_region == protocol.region else f"from {_region(protocol.factor_region)}"
@@ -204,7 +204,7 @@ def comparability(
     equal: Sequence[Mapping[str, Collection[str]]] = (),
     ignored: Collection[str] = (),
 ) -> list[str]:
-    """Return in words in what two protocols differ; nothing if their scores compare.
+    """Name the differences of two protocols in words; none if their scores compare.
 
     Names and sentences do not count: two protocols of different names may score alike. Neither do fields that have no
     effect, such as where a factor is found that is not used.
@@ -240,8 +240,8 @@ def comparability(
 
 
 def _factor_region(protocol: Mapping[str, Any]) -> Any:
-    found = _value(protocol, "rescaling_region")
-    return protocol.get("region") if found == SCORED else found
+    region = _value(protocol, "rescaling_region")
+    return protocol.get("region") if region == SCORED else region
 
 
 def _value(protocol: Mapping[str, Any], name: str) -> Any:

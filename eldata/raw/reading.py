@@ -355,7 +355,8 @@ def camera_matrix(raw: rawpy.RawPy, first: Directory) -> tuple[Matrix3 | None, i
     ]
     illuminant, numbers = D65, [round(float(value), 6) for row in raw.rgb_xyz_matrix[:3] for value in row]  # its table
     if stated:
-        preferred = [one for one in stated if one[0] == D65] or [one for one in stated if one[0] in _DAYLIGHT]
+        of_d65 = [light for light in stated if light[0] == D65]
+        preferred = of_d65 or [light for light in stated if light[0] in _DAYLIGHT]
         illuminant, values = (preferred or stated[-1:])[0]
         numbers = [exact_number(Fraction(value)) for value in values]
     if not any(numbers):

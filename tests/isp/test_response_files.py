@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.isp.response import ResponseFileError, read_response_table
+from eldata.errors import FileError
+from eldata.isp.response import read_response_table
 from tests.isp.curves import GRID, family
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def test_a_table_of_two_columns(tmp_path: Path) -> None:
 def test_a_table_that_is_none_is_refused(text: str, words: str, tmp_path: Path) -> None:
     path = tmp_path / "curve.txt"
     path.write_text(text)
-    with pytest.raises(ResponseFileError, match=rf"curve\.txt: .*{words}"):
+    with pytest.raises(FileError, match=rf"curve\.txt: .*{words}"):
         read_response_table(path)
 
 

@@ -173,7 +173,7 @@ ONLY = {
     "eldata.download": ("eldata.errors", "eldata.records", "eldata.base", "eldata.manifest"),
     "capture": (
         *("eldata.errors", "eldata.records", "eldata.base", "eldata.raw", "eldata.manifest"),
-        *("eldata.isp.preview", "eldata.reports.html"),  # the pictures and the page of its own sheets
+        *("eldata.isp.rendering", "eldata.reports.html"),  # the pictures and the page of its own sheets
     ),
 }
 # Rooms that only these import.
@@ -272,7 +272,7 @@ SHOWN = (
     *("eldata.errors", "eldata.records", "eldata.base", "eldata.plots", "eldata.reports"),
     # Words of results and protocols; what of a result is chosen, grouped and decoded to be looked at.
     *("eldata.evaluation.scores", "eldata.evaluation.comparison", "eldata.evaluation.looking"),
-    *("eldata.protocols.kinds", "eldata.protocols.words"),
+    *("eldata.metrics.registry", "eldata.protocols.words"),
 )
 LIBRARIES = {"numpy", "matplotlib", "jinja2", "PIL"}
 STATISTICS = {
@@ -315,7 +315,7 @@ READER = "eldata.base.fields"
 WRITES = {
     "eldata.base.files": "the one writer of JSON files",
     "eldata.base.visible": "a value in a sentence",
-    "eldata.protocols.digests": "what a digest is made of",
+    "eldata.protocols.protocol": "what a digest is made of",
     "eldata.reports.evaluation": "one value of a setting in a sentence",
     "eldata.sources.store.read": "a data set of an HDF5 store",
     "capture.checklist": "what a digest is made of, and a script's data",

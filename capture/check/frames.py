@@ -18,7 +18,7 @@ from capture.check.result import CheckedGroup, SheetPicture
 from capture.observed import exposure_text
 from eldata.base.files import inside
 from eldata.errors import EldataError, UnusableRawError
-from eldata.isp.preview import srgb_encode
+from eldata.isp.rendering import srgb_encode
 from eldata.raw.levels import differ_in_white, mean_levels, packed_black_level_dn, packing_sites
 
 if TYPE_CHECKING:

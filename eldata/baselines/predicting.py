@@ -24,8 +24,8 @@ from eldata.evaluation.request import make_request, plan_scoring, require_pairs
 from eldata.manifest.card import CHANNELS
 from eldata.manifest.clips import clips_of, setting_name
 from eldata.manifest.patterns import expand
+from eldata.metrics.registry import IMAGES
 from eldata.noise.profile import profile_of
-from eldata.protocols.kinds import IMAGES
 from eldata.protocols.words import in_words
 
 if TYPE_CHECKING:

@@ -425,7 +425,7 @@ def render_sample(sample: Mapping[str, Any], sensor: Sensor | None) -> list[Pane
     Of a window of frames the first one is shown. Both sides are multiplied by the same number, which makes a dark
     target visible; the error is the mean over channels of the absolute difference, in the sample's own units.
     """
-    from eldata.isp.preview import brightening
+    from eldata.isp.rendering import brightening
 
     sides = {name: _first(np.asarray(sample[name])) for name in ("input", "target") if name in sample}
     brighter = brightening(sides.get("target", sides["input"]))
@@ -465,7 +465,7 @@ def _first(array: NDArray[Any]) -> NDArray[Any]:
 def _rendered(values: NDArray[Any], sensor: Sensor | None) -> NDArray[np.uint8]:
     """Return (C, h, w) as 8-bit colours: packed raw as a quick rendering, three colours as they are."""
     if len(values) != 3:
-        from eldata.isp.preview import preview
+        from eldata.isp.rendering import preview
 
         return preview(values, sensor)
     colours: NDArray[np.uint8] = np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8)

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from torch.utils.data import Dataset
 
 from eldata.errors import ArgumentError, DatasetError
-from eldata.isp.rendering import PAPER_GAMMA, Rendering
-from eldata.isp.steps import truncate_to_8_bits
+from eldata.isp.rendering import PAPER_GAMMA, Rendering, truncate_to_8_bits
 from eldata.sources.frames import FrameSource
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from eldata.demo.tree import make_tree, prepare_folder, verify_own
 from eldata.errors import EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import load_prediction
-from eldata.isp.preview import preview
+from eldata.isp.rendering import preview
 from eldata.noise.parameters import tukey_lambda_variance
 from eldata.noise.profile import CameraProfile, ProfileRow
 from eldata.raw.levels import packed_frame

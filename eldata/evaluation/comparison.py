@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from eldata.base import numbers
     from eldata.base.tables import Format
     from eldata.evaluation.results import EvaluationResult
+    from eldata.metrics.registry import Kind
     from eldata.plots.axes import Theme
-    from eldata.protocols.kinds import Kind
 
 Images: TypeAlias = "Sequence[tuple[UnitScore, ...]]"
 """Of each image the score by each method."""

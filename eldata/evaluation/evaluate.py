@@ -26,8 +26,8 @@ from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.score import compared_images, score_predictions
 from eldata.evaluation.scores import EvaluationProblem
 from eldata.evaluation.tasks import task_note
+from eldata.metrics.registry import IMAGES
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.protocols.kinds import IMAGES
 from eldata.protocols.protocol import CHOICES, ONE_CAMERAS_LEVELS
 from eldata.protocols.words import LEVELS
 from eldata.records import PairRecord

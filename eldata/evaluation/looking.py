@@ -19,7 +19,7 @@ from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.score import Scoring, as_scored, read_input, read_prediction, read_reference
 from eldata.evaluation.scores import FrameScore, cameras_in_order, natural
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
-from eldata.isp.preview import brightening, preview
+from eldata.isp.rendering import brightening, preview
 from eldata.manifest.catalogue import FrameFiles
 from eldata.protocols.protocol import NO_SHADING, ClipProtocol, Protocol
 

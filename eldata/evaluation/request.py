@@ -30,8 +30,8 @@ from eldata.manifest.pair_checks import white_remarks
 from eldata.manifest.pairs import Choice, unpaired
 from eldata.manifest.patterns import expand, is_png
 from eldata.manifest.verify import check_files
+from eldata.metrics.registry import IMAGES, Kind
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.protocols.kinds import IMAGES, Kind
 from eldata.protocols.named import PROTOCOLS, default_protocol, get_protocol, protocols_for
 from eldata.protocols.protocol import NO_SHADING, OWN_SEQUENCES, ClipProtocol
 from eldata.protocols.words import FIELDS, in_words

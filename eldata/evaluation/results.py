@@ -36,9 +36,8 @@ from eldata.evaluation.scores import (
     table_of,
 )
 from eldata.evaluation.tasks import stated_figure
-from eldata.protocols.digests import CHOOSING, OF_INPUT
-from eldata.protocols.kinds import CLIPS, IMAGES
-from eldata.protocols.protocol import NO_SHADING, StatedProtocol
+from eldata.metrics.registry import CLIPS, IMAGES
+from eldata.protocols.protocol import CHOOSING, NO_SHADING, OF_INPUT, StatedProtocol
 from eldata.protocols.words import comparability
 from eldata.records import PairRecord
 
@@ -53,9 +52,9 @@ if TYPE_CHECKING:
     from eldata.base.tables import Format
     from eldata.evaluation.scores import Pair
     from eldata.evaluation.statistics import Interval
+    from eldata.metrics.registry import Kind
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip
-    from eldata.protocols.kinds import Kind
     from eldata.protocols.protocol import Protocol
 
 Record = TypeVar("Record", EvaluationProblem, FrameScore, Suspicion)

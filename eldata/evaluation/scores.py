@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from eldata.protocols.kinds import Kind
+    from eldata.metrics.registry import Kind
 
 
 Pair: TypeAlias = PairRecord | ClipRecord
@@ -95,7 +95,7 @@ class UnitScore(Valued):
     ratio
         The nominal low-light factor; ``None`` where the manifest states none.
     values
-        The numbers of the protocol's kind (:attr:`eldata.protocols.kinds.Kind.values`); those of a clip are means over
+        The numbers of the protocol's kind (:attr:`eldata.metrics.registry.Kind.values`); those of a clip are means over
         its frames, and ST-RRED's. Infinite PSNR: the prediction equals the reference. nan: not known.
     split, start, frames
         Of a clip: its split, the position of the first scored frame, the scores of each.

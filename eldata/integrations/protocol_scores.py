@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError
 from eldata.metrics.image_score import factor_by, score_by
-from eldata.protocols.kinds import IMAGES
+from eldata.metrics.registry import IMAGES
 from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:

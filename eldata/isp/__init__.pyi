@@ -1,5 +1,4 @@
 from .libraw import render_libraw as render_libraw
-from .rendering import CameraColour as CameraColour
 from .rendering import Gamma as Gamma
 from .rendering import Rendering as Rendering
 from .rendering import render_pair_for_scoring as render_pair_for_scoring

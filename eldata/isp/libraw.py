@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldata.base.files import read_file
-from eldata.errors import ArgumentError, RawFileError
+from eldata.errors import RawFileError
 from eldata.raw.levels import packing_sites
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-Bits = Literal[8, 16]
-
 # The tile of LibRaw's Markesteijn demosaicing, which refuses a smaller picture as an input/output error.
 _LEAST_XTRANS_SIDE = 512
 
 
-@overload
-def render_libraw(path: Path | str, *, bits: Literal[8] = 8) -> NDArray[np.uint8]: ...
-@overload
-def render_libraw(path: Path | str, *, bits: Literal[16]) -> NDArray[np.uint16]: ...
-def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def render_libraw(path: Path | str) -> NDArray[np.uint8]:
     """Render a raw file to sRGB with LibRaw: demosaiced, as-shot white balance, no automatic brightening.
 
     The SID code's ``postprocess(use_camera_wb=True, half_size=False, no_auto_bright=True, output_bps=16)``
@@ -37,13 +30,11 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
     ----------
     path
         A raw file, Bayer or X-Trans, that :func:`eldata.raw.read_raw` accepts.
-    bits
-        16, or 8: the 16-bit values v as ``round(255 v / 65535)``, which is how that code saves its PNG files.
 
     Returns
     -------
     ndarray
-        (H, W, 3) R, G, B; uint8 or uint16.
+        (H, W, 3) uint8, R, G, B: the 16-bit values v as ``round(255 v / 65535)``, as that code saves its PNG files.
 
     Raises
     ------
@@ -51,15 +42,11 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
         Like :func:`eldata.raw.read_raw`; or if the file has no as-shot white balance or no colour matrix, in place of
         which LibRaw would put its own; or is quad-Bayer, nona-Bayer, or
         X-Trans with a side under 512 pixels, which LibRaw does not demosaic.
-    ArgumentError
-        If ``bits`` is neither 8 nor 16.
     """
-    if bits not in get_args(Bits):
-        raise ArgumentError(f"bits must be 8 or 16; found {bits!r}")
-    return read_file(partial(_rendered, bits=bits), Path(path), RawFileError)
+    return read_file(_render, Path(path), RawFileError)
 
 
-def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def _render(path: Path) -> NDArray[np.uint8]:
     from eldata.raw.container import read_container
     from eldata.raw.libraw import open_raw
     from eldata.raw.reading import read_raw
@@ -96,10 +83,10 @@ def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint1
             output_bps=16,
             user_flip=0,
         )
-    return rendered if bits == 16 else sixteen_to_eight_bits(rendered)
+    return sixteen_to_eight_bits(rendered)
 
 
 def sixteen_to_eight_bits(values: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Return ``round(255 v / 65535)``, exactly: 65535 = 255 * 257, so v / 257 is never half-way."""
+    """Round to ``255 v / 65535``, exactly: 65535 = 255 * 257, so v / 257 is never half-way."""
     codes: NDArray[np.uint8] = ((values.astype(np.uint32) + 128) // 257).astype(np.uint8)
     return codes

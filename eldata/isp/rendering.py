@@ -1,33 +1,40 @@
-"""The paper's raw-to-sRGB pipeline as one object with explicit parameters, and pairs of images as it scores them."""
+"""Packed raw to sRGB: the paper's pipeline with explicit parameters, its steps, and a quick look in numpy.
+
+K. Wei et al., TPAMI 2021, section 4.5; order, clips and constants as in the code released with it (ELD repository,
+util/process.py). The steps are functions of torch tensors. Each works on any leading dimensions, on the tensor's own
+device, in its own floating dtype, and is differentiable, except the two that make 8 bits.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from eldata.errors import ArgumentError
-from eldata.isp.steps import bin_colours, colour_matrix, gamma_curve, truncate_to_8_bits, white_balance
 from eldata.raw.colour import camera_to_srgb
+from eldata.raw.levels import packed_forms, packed_layouts
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable
 
     import torch
     from numpy.typing import NDArray
 
     from eldata.records import Matrix3, Sensor
 
+    Response: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
+    """What turns linear sRGB in [0, 1], (..., 3, h, w), into display values in [0, 1]."""
 
-class Response(Protocol):
-    """What turns linear sRGB in [0, 1] into display values in [0, 1]: :class:`Gamma`, or a measured curve."""
+# The packed channels of each of R, G, B, by the number of packed channels.
+CHANNELS_OF_COLOUR = {
+    channels: tuple(tuple(at for at, name in enumerate(sites.names) if name[0] == colour) for colour in "RGB")
+    for channels, sites in packed_layouts().items()
+}
 
-    def __call__(self, linear: torch.Tensor) -> torch.Tensor:
-        """Return the display values of (..., 3, h, w) linear ones."""
-
-    def describe(self) -> str:
-        """Say in a few words what it is."""
+# Below it the gamma curve is constant, so that its slope stays finite (util/process.py).
+GAMMA_FLOOR = 1e-8
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,20 +56,19 @@ class Gamma:
             raise ArgumentError(f"the exponent of a gamma curve must be positive; found {self.exponent}")
 
     def __call__(self, linear: torch.Tensor) -> torch.Tensor:
-        """Return :func:`eldata.isp.steps.gamma_curve` of the image."""
+        """Apply :func:`gamma_curve` to an image."""
         return linear if self.exponent == 1 else gamma_curve(linear, self.exponent)
-
-    def describe(self) -> str:
-        """Say in a few words what it is."""
-        return "no tone curve (linear)" if self.exponent == 1 else f"gamma {self.exponent:g}"
 
 
 PAPER_GAMMA = Gamma(2.2)
 
 
 @dataclass(frozen=True, slots=True)
-class CameraColour:
-    """What turns one camera's packed values into linear sRGB.
+class Rendering:
+    """Packed raw of one camera to sRGB as the paper has it; ``rendering(packed)`` renders.
+
+    White balance, clip to [0, 1], the greens averaged (one RGB pixel per packed pixel), camera to sRGB, clip to [0, 1],
+    response.
 
     Attributes
     ----------
@@ -70,15 +76,27 @@ class CameraColour:
         Multipliers of R, G1, B, G2.
     camera_to_srgb
         Matrix (3, 3) from white-balanced camera R, G, B to linear sRGB (:func:`eldata.raw.colour.camera_to_srgb`).
+    response
+        Gamma 2.2, or a measured :class:`~eldata.isp.response.ResponseCurve`.
 
     Raises
     ------
     ArgumentError
         If there are not four positive multipliers and nine finite numbers.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from eldata.isp import Rendering
+    >>> from eldata.raw import read_raw
+    >>> sensor = read_raw("eldata-demo/data/ELD-demo/DemoAlpha/scene-1/IMG_0001.dng").sensor
+    >>> Rendering.of(sensor)(torch.full((4, 8, 8), 0.2)).shape
+    torch.Size([3, 8, 8])
     """
 
     white_balance: tuple[float, float, float, float]
     camera_to_srgb: Matrix3
+    response: Response = PAPER_GAMMA
 
     def __post_init__(self) -> None:
         balance, matrix = np.asarray(self.white_balance, float), np.asarray(self.camera_to_srgb, float)
@@ -88,7 +106,7 @@ class CameraColour:
             raise ArgumentError(f"camera_to_srgb must be 3 x 3 finite numbers; found {self.camera_to_srgb}")
 
     @classmethod
-    def of(cls, sensor: Sensor) -> CameraColour:
+    def of(cls, sensor: Sensor, response: Response = PAPER_GAMMA) -> Rendering:
         """Take white balance and matrix from what a file says of its sensor.
 
         Raises
@@ -102,67 +120,10 @@ class CameraColour:
             if value is None:
                 raise ArgumentError(
                     f"the sensor record of {camera} has no {name}; take it from another file of that camera, or give "
-                    "CameraColour(white_balance, camera_to_srgb) yourself"
+                    "Rendering(white_balance, camera_to_srgb) yourself"
                 )
         rows = tuple(map(tuple, camera_to_srgb(matrix).tolist()))  # type: ignore[arg-type] # checked above
-        return cls(balance, rows)  # type: ignore[arg-type] # checked above, 3 x 3
-
-
-@dataclass(frozen=True, slots=True)
-class Rendering:
-    """Packed raw to sRGB as the paper has it; ``rendering(packed)`` renders.
-
-    White balance, clip to [0, 1], the greens averaged (one RGB pixel per packed pixel), camera to sRGB, clip to [0, 1],
-    response.
-
-    Attributes
-    ----------
-    colours
-        One camera's colour for all images, or one for each item of a batch, in its order.
-    response
-        Gamma 2.2, or a measured :class:`~eldata.isp.response.ResponseCurve`.
-
-    Examples
-    --------
-    >>> import torch
-    >>> from eldata.isp import Rendering
-    >>> from eldata.raw import read_raw
-    >>> sensor = read_raw("eldata-demo/data/ELD-demo/DemoAlpha/scene-1/IMG_0001.dng").sensor
-    >>> Rendering.of(sensor)(torch.full((4, 8, 8), 0.2)).shape
-    torch.Size([3, 8, 8])
-    """
-
-    colours: tuple[CameraColour, ...]
-    response: Response = PAPER_GAMMA
-
-    def __post_init__(self) -> None:
-        if not self.colours:
-            raise ArgumentError("a rendering needs the colour of one camera or of each item of a batch; found none")
-
-    @classmethod
-    def of(cls, sensors: Sensor | Sequence[Sensor], response: Response = PAPER_GAMMA) -> Rendering:
-        """Return the rendering with the white balance and matrix of a sensor, or of one sensor per batch item.
-
-        Raises
-        ------
-        ArgumentError
-            If a sensor lacks one of them.
-        """
-        from eldata.records import Sensor as SensorRecord
-
-        each = (sensors,) if isinstance(sensors, SensorRecord) else tuple(sensors)
-        return cls(tuple(CameraColour.of(sensor) for sensor in each), response)
-
-    def linear(self, packed: torch.Tensor) -> torch.Tensor:
-        """Return linear sRGB, clipped to [0, 1]: everything but the response. Arguments and errors are a call's."""
-        import torch
-
-        def values(name: str) -> torch.Tensor:
-            each = [getattr(colour, name) for colour in self.colours]
-            return torch.tensor(each if len(each) > 1 else each[0], dtype=torch.float64)
-
-        balanced = white_balance(packed, values("white_balance")).clamp(0, 1)
-        return colour_matrix(bin_colours(balanced), values("camera_to_srgb")).clamp(0, 1)
+        return cls(balance, rows, response)  # type: ignore[arg-type] # checked above, 3 x 3
 
     def __call__(self, packed: torch.Tensor) -> torch.Tensor:
         """Render.
@@ -171,7 +132,6 @@ class Rendering:
         ----------
         packed
             (..., C, h, w), normalised, floating point: Bayer (C = 4), X-Trans (9), quad-Bayer (16) or nona-Bayer (36).
-            With several cameras the first dimension counts them.
 
         Returns
         -------
@@ -181,24 +141,140 @@ class Rendering:
         Raises
         ------
         ArgumentError
-            If the shape or dtype does not fit, or the batch does not have one item per camera.
+            If the shape or dtype does not fit.
         """
-        return self.response(self.linear(packed))
+        import torch
 
-    def describe(self) -> str:
-        """Say in words what is done with which numbers."""
+        balance = torch.tensor(self.white_balance, dtype=torch.float64)
+        matrix = torch.tensor(self.camera_to_srgb, dtype=torch.float64)
+        camera = bin_colours(white_balance(packed, balance).clamp(0, 1))
+        return self.response(colour_matrix(camera, matrix).clamp(0, 1))
 
-        def numbers(values: Sequence[float]) -> str:
-            return ", ".join(f"{value:.4g}" for value in values)
 
-        first = self.colours[0]
-        others = f" (item 1 of {len(self.colours)}, each with its own)" if len(self.colours) > 1 else ""
-        rows = "; ".join(numbers(row) for row in first.camera_to_srgb)
-        return (
-            f"white balance R, G1, B, G2 = {numbers(first.white_balance)}{others}; clip to [0, 1]; greens averaged, "
-            f"one RGB pixel per packed pixel; camera to sRGB [{rows}]{others}; clip to [0, 1]; "
-            f"{self.response.describe()}"
-        )
+# --- steps ------------------------------------------------------------------------------------------------------------
+
+
+def white_balance(packed: torch.Tensor, multipliers: torch.Tensor) -> torch.Tensor:
+    """Multiply each packed channel by the white balance of its colour.
+
+    Parameters
+    ----------
+    packed
+        (..., C, h, w), normalised: Bayer (C = 4), X-Trans (9), quad-Bayer (16) or nona-Bayer (36).
+    multipliers
+        (4,): those of R, G1, B, G2. X-Trans takes R, G1 and B.
+
+    Returns
+    -------
+    Tensor
+        As ``packed``; not clipped.
+
+    Raises
+    ------
+    ArgumentError
+        If the shape does not fit.
+    """
+    _check_packed(packed)
+    order = list(packed_layouts()[packed.shape[-3]].colours)
+    return packed * multipliers.to(packed)[order, None, None]
+
+
+def bin_colours(packed: torch.Tensor) -> torch.Tensor:
+    """Average the packed channels of each colour: one RGB pixel per packed pixel, no demosaicing.
+
+    Bayer: R, (G1 + G2) / 2, B. X-Trans: the means of the 2 reds, 5 greens and 2 blues of a 3 x 3 block; quad and nona:
+    those of a period's 4, 8 and 4 or 9, 18 and 9. The paper has Bayer alone.
+
+    Parameters
+    ----------
+    packed
+        (..., C, h, w), C as for :func:`white_balance`.
+
+    Returns
+    -------
+    Tensor
+        (..., 3, h, w), the camera's R, G, B.
+
+    Raises
+    ------
+    ArgumentError
+        If the shape does not fit.
+    """
+    import torch
+
+    _check_packed(packed)
+    indices = CHANNELS_OF_COLOUR[packed.shape[-3]]
+    return torch.stack([packed[..., list(channels), :, :].mean(dim=-3) for channels in indices], dim=-3)
+
+
+def colour_matrix(rgb: torch.Tensor, matrix: torch.Tensor) -> torch.Tensor:
+    """Multiply each pixel by a matrix: ``matrix @ rgb``.
+
+    Parameters
+    ----------
+    rgb
+        (..., 3, h, w).
+    matrix
+        (3, 3).
+
+    Raises
+    ------
+    ArgumentError
+        If a shape does not fit.
+    """
+    import torch
+
+    if rgb.ndim < 3 or rgb.shape[-3] != 3:
+        raise ArgumentError(f"expected an image (..., 3, h, w); found shape {tuple(rgb.shape)}")
+    return torch.einsum("ij,...jhw->...ihw", matrix.to(rgb), rgb)
+
+
+def gamma_curve(linear: torch.Tensor, exponent: float = 2.2) -> torch.Tensor:
+    """Raise to a power, ``max(linear, 1e-8) ** (1 / exponent)``."""
+    return linear.clamp(min=GAMMA_FLOOR) ** (1 / exponent)
+
+
+def truncate_to_8_bits(image: torch.Tensor) -> torch.Tensor:
+    """Make uint8 codes ``int(255 image)``, clipped to 0 and 255: as the ELD code stores and scores sRGB images.
+
+    The product is formed in float32, as there.
+
+    Raises
+    ------
+    ArgumentError
+        If the image holds NaN or infinities, which have no code.
+    """
+    import torch
+
+    _check_finite(image)
+    return (image.detach().to(torch.float32) * 255).clamp(0, 255).to(torch.uint8)
+
+
+def round_to_8_bits(image: torch.Tensor) -> torch.Tensor:
+    """Make uint8 codes ``round(255 image)``, clipped to 0 and 255: the nearest, for saving and looking at.
+
+    Raises
+    ------
+    ArgumentError
+        If the image holds NaN or infinities, which have no code.
+    """
+    import torch
+
+    _check_finite(image)
+    return (image.detach().to(torch.float64) * 255).round().clamp(0, 255).to(torch.uint8)
+
+
+def _check_packed(packed: torch.Tensor) -> None:
+    if packed.ndim < 3 or packed.shape[-3] not in CHANNELS_OF_COLOUR:
+        forms = packed_forms("(..., {channels}, h, w)")
+        raise ArgumentError(f"expected packed data {forms}; found shape {tuple(packed.shape)}")
+    if not packed.is_floating_point():
+        raise ArgumentError(f"expected normalised floating-point data; found {packed.dtype}")
+
+
+def _check_finite(image: torch.Tensor) -> None:
+    if not bool(image.isfinite().all()):
+        raise ArgumentError("the image holds NaN or infinities, which have no 8-bit code")
 
 
 # --- as the ELD code scores -------------------------------------------------------------------------------------------
@@ -213,7 +289,7 @@ def render_pair_for_scoring(
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Render a packed prediction and its reference to 8-bit sRGB as the ELD code does before it scores them.
 
-    Both are rendered by :class:`~eldata.isp.rendering.Rendering` with the reference file's white balance and matrix
+    Both are rendered by :class:`Rendering` with the reference file's white balance and matrix
     (the paper's "oracle white balance") and truncated, not rounded, to 8 bits (ELD repository, models/ELD_model.py and
     util/process.py, stage_eval = srgb). A prediction that is rescaled is rescaled first, in raw. There the sums are
     float32; here they are float64 up to the 8 bits, so that the codes do not depend on the machine.
@@ -267,3 +343,56 @@ def render_to_8_bits(
     with torch.no_grad():
         codes: NDArray[np.uint8] = truncate_to_8_bits(Rendering.of(sensor, response)(torch.from_numpy(wide))).numpy()
     return codes
+
+
+# --- a quick look -----------------------------------------------------------------------------------------------------
+
+
+_DARK, _BRIGHT, _MOST_BRIGHTER = 0.4, 0.6, 8.0
+
+
+def srgb_encode(linear: NDArray[Any]) -> NDArray[Any]:
+    """Apply the sRGB transfer function to linear light in [0, 1] (IEC 61966-2-1)."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def brightening(reference: NDArray[Any]) -> float:
+    """Find the factor that makes a dark reference visible, rounded to two digits; 1 of a bright one."""
+    light = float(np.quantile(reference, 0.99))
+    if light >= _DARK or light <= 0:
+        return 1.0
+    return float(f"{min(_MOST_BRIGHTER, _BRIGHT / light):.2g}")
+
+
+def preview(packed: NDArray[np.floating[Any]], sensor: Sensor | None) -> NDArray[np.uint8]:
+    """Render packed raw data for viewing: one pixel per packed pixel, no demosaicing.
+
+    Parameters
+    ----------
+    packed
+        (C, h, w), normalised; values outside [0, 1] are clipped.
+    sensor
+        White balance and colour matrix; without them, or a sensor, the camera's own colours are shown.
+
+    Returns
+    -------
+    ndarray
+        (h, w, 3) uint8, sRGB.
+
+    Raises
+    ------
+    ArgumentError
+        If there are not 4, 9, 16 or 36 channels.
+    """
+    if packed.ndim != 3 or packed.shape[0] not in CHANNELS_OF_COLOUR:
+        raise ArgumentError(f"expected packed data {packed_forms('({channels}, h, w)')}; found shape {packed.shape}")
+    clipped = np.clip(packed, 0, 1)
+    camera = np.stack([clipped[list(indices)].mean(axis=0) for indices in CHANNELS_OF_COLOUR[packed.shape[0]]])
+    if sensor is not None and sensor.white_balance is not None:
+        red, green, blue, _ = sensor.white_balance
+        # Clipped at the level where the first channel saturates, so that blown highlights stay white.
+        camera = np.minimum(camera * np.array([red, green, blue])[:, None, None], 1.0)
+    if sensor is not None and sensor.xyz_to_camera is not None:
+        camera = np.einsum("ij,jhw->ihw", camera_to_srgb(sensor.xyz_to_camera), camera)
+    codes: NDArray[np.uint8] = np.rint(srgb_encode(np.clip(camera, 0, 1)) * 255).astype(np.uint8)
+    return codes.transpose(1, 2, 0)

@@ -14,6 +14,7 @@ import numpy as np
 from eldata.base.fields import TextFile
 from eldata.base.numbers import number_of
 from eldata.errors import ArgumentError, FileError
+from eldata.isp.rendering import Gamma
 
 if TYPE_CHECKING:
     import torch
@@ -25,10 +26,6 @@ _LEAST_POINTS = 2
 _CURVE, _GAMMA = "curve ", "gamma-"
 _END_TOLERANCE = 1e-4
 _SEPARATORS = re.compile(r"[\s,;]+")
-
-
-class ResponseFileError(FileError):
-    """A file with a response curve cannot be used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,11 +128,6 @@ class ResponseCurve:
         rows = [*(self.irradiance[:1] if shared else self.irradiance), *self.brightness]
         return f"{_CURVE}{'; '.join(' '.join(repr(float(value)) for value in row) for row in rows)}"
 
-    def describe(self) -> str:
-        """Say in a few words what it is."""
-        curves = "one curve for R, G and B" if len(self.irradiance) == 1 else "a curve each for R, G, B"
-        return f"camera response {self.name} ({curves}, {self.irradiance.shape[1]} points)"
-
     def __repr__(self) -> str:
         return f"ResponseCurve({self.name!r}, {len(self.irradiance)} x {self.irradiance.shape[1]} points)"
 
@@ -147,21 +139,21 @@ def read_response_table(path: Path | str) -> ResponseCurve:
 
     Raises
     ------
-    ResponseFileError
+    FileError
         If the file is missing, not text, has lines of other lengths, or the curve does not rise from 0 to 1.
     """
     path = Path(path)
-    lines = TextFile(path, ResponseFileError).text("a text file with a response curve").splitlines()
+    lines = TextFile(path, FileError).text("a text file with a response curve").splitlines()
     rows = []
     for number, line in enumerate(lines, 1):
         try:
             rows.append([number_of(text) for text in _SEPARATORS.split(line.partition("#")[0].strip()) if text])
         except ArgumentError as error:
-            raise ResponseFileError(path, f"line {number}: {error}") from error
+            raise FileError(path, f"line {number}: {error}") from error
     rows = [row for row in rows if row]
     widths = {len(row) for row in rows}
     if widths not in ({2}, {4}):
-        raise ResponseFileError(
+        raise FileError(
             path,
             "expected lines of 2 numbers (irradiance, brightness) or 4 (irradiance, brightness of R, G, B); found "
             f"{'no line of numbers' if not rows else f'lines of {sorted(widths)} numbers'}",
@@ -170,7 +162,7 @@ def read_response_table(path: Path | str) -> ResponseCurve:
     try:
         return ResponseCurve(np.broadcast_to(irradiance, (len(brightness), len(rows))), np.array(brightness), path.stem)
     except ArgumentError as error:
-        raise ResponseFileError(path, str(error)) from error
+        raise FileError(path, str(error)) from error
 
 
 @lru_cache(maxsize=8)
@@ -182,8 +174,6 @@ def response_of(text: str) -> Response:
     ArgumentError
         If it is neither, or no curve from 0 to 1.
     """
-    from eldata.isp.rendering import Gamma
-
     try:
         if text.startswith(_GAMMA):
             exponent = number_of(text.removeprefix(_GAMMA))

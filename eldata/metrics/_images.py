@@ -117,7 +117,7 @@ class Pair:
 
 
 def _row_bands(rows: int) -> list[tuple[int, int]]:
-    """Return the start and the stop of bands of rows of about the same height."""
+    """Cut rows into bands of about the same height: their starts and stops."""
     count = -(-rows // _BAND_ROWS)
     return list(pairwise(rows * index // count for index in range(count + 1)))
 

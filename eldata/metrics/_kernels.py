@@ -41,8 +41,8 @@ def clamp(value: float, low: float, high: float) -> float:
 
 
 @kernel
-def products(prediction: Block, reference: Block, low: float, high: float, masked: float) -> tuple[float, float]:
-    """Return <p, g> and <p, p>, with p clamped to [low, high], over the entries where g is not exactly ``masked``."""
+def products(prediction: Block, reference: Block, low: float, high: float) -> tuple[float, float]:
+    """Sum <p, g> and <p, p>, with p clamped to [low, high], over the entries where g is not exactly 1 (saturated)."""
     rows, columns = prediction.shape
     sums = np.zeros((2, _STRIP))
     for row in range(rows):
@@ -51,7 +51,7 @@ def products(prediction: Block, reference: Block, low: float, high: float, maske
             gs = reference[row, start : min(start + _STRIP, columns)]
             for j in range(ps.size):
                 g = np.float64(gs[j])
-                p = clamp(np.float64(ps[j]), low, high) if g != masked else 0.0  # true for all if masked is NaN
+                p = clamp(np.float64(ps[j]), low, high) if g != 1.0 else 0.0
                 sums[0, j] += p * g
                 sums[1, j] += p * p
     pg = 0.0

@@ -12,7 +12,7 @@ from eldata.base.arrays import is_tensor
 from eldata.errors import ArgumentError, check_choice
 from eldata.metrics._images import check_data_range, check_threads, host_array, pair, total, totals
 from eldata.metrics._kernels import products, squared_error
-from eldata.metrics.registry import Covariance, PredictionClamp, Rescaling, RescalingMask, Rounding, SsimWindow
+from eldata.metrics.registry import Covariance, PredictionClamp, Rescaling, Rounding, SsimWindow
 from eldata.metrics.similarity import AS_IT_IS, check_windowing, error_and_ssim, side_of, treated
 
 if TYPE_CHECKING:
@@ -31,36 +31,32 @@ class ScoringRules:
     ----------
     rescaling
         ``scalar``: the prediction is multiplied by the one factor that minimises its squared error,
-        ``<p, g> / <p, p>``; ``none``: it is scored as it is.
-    rescaling_mask
-        Entries that the factor is found over: ``unsaturated``, where the reference is not exactly 1, or ``all``.
+        ``<p, g> / <p, p>`` where the reference is not exactly 1; ``none``: it is scored as it is.
     prediction_clamp
         When the prediction is clamped to [0, 1]: ``both``, before and after the factor, ``before`` it alone (the factor
         is found on the clamped prediction in either case), or ``none``, never.
     rounding
         ``8-bit``: prediction and reference are rounded to the nearest 1/255 before they are compared;
         ``8-bit-truncated``: rounded down; ``none``: not rounded.
-    data_range
-        Range of PSNR and SSIM.
     mse_offset
         Added to the mean squared error before PSNR's logarithm.
     ssim_window, ssim_covariance
         As :func:`eldata.metrics.ssim` has them.
+    data_range
+        Range of PSNR and SSIM: 1, or 255 of 8-bit codes.
     """
 
     rescaling: Rescaling = "scalar"
-    rescaling_mask: RescalingMask = "unsaturated"
     prediction_clamp: PredictionClamp = "both"
     rounding: Rounding = "none"
-    data_range: float = 1.0
     mse_offset: float = 0.0
     ssim_window: SsimWindow = "uniform-7"
     ssim_covariance: Covariance = "sample"
+    data_range: float = 1.0
 
     def check(self) -> None:
         """Raise :class:`ArgumentError` if a field has an invalid value."""
         check_choice("rescaling", self.rescaling, get_args(Rescaling))
-        check_choice("rescaling_mask", self.rescaling_mask, get_args(RescalingMask))
         check_choice("prediction_clamp", self.prediction_clamp, get_args(PredictionClamp))
         check_choice("rounding", self.rounding, get_args(Rounding))
         check_windowing(self.ssim_window, self.ssim_covariance)
@@ -69,7 +65,7 @@ class ScoringRules:
             raise ArgumentError(f"mse_offset must be finite and not negative; found {self.mse_offset}")
 
     def treatment(self, factor: float) -> Treatment:
-        """Return how a prediction's values are treated, given the factor."""
+        """Make the treatment of a prediction's values from the factor."""
         before = (-math.inf, math.inf) if self.prediction_clamp == "none" else (0.0, 1.0)
         after = (0.0, 1.0) if self.prediction_clamp == "both" else (-math.inf, math.inf)
         return (*before, factor, *after)
@@ -95,7 +91,7 @@ class Score:
 
 
 def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, threads: int | None = None) -> float:
-    """Return the peak signal-to-noise ratio, ``10 log10(data_range^2 / MSE)``.
+    """Compute the peak signal-to-noise ratio, ``10 log10(data_range^2 / MSE)``.
 
     The mean squared error is that of all channels together. Nothing is clipped.
 
@@ -140,7 +136,7 @@ def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, thread
 
 
 def decibels(mean_squared_error: float, data_range: float) -> float:
-    """Return the PSNR of a mean squared error."""
+    """Convert a mean squared error to PSNR."""
     if mean_squared_error == 0.0:
         return math.inf
     return 20.0 * math.log10(data_range) - 10.0 * math.log10(mean_squared_error)
@@ -186,8 +182,8 @@ def score(
     >>> from eldata.metrics import score
     >>> generator = np.random.default_rng(0)
     >>> reference = generator.uniform(0, 0.9, (4, 64, 64))
-    >>> found = score(0.5 * (reference + generator.normal(0, 0.05, reference.shape)), reference, rescaling="scalar")
-    >>> round(found.psnr_db, 2), round(found.rescale, 2)
+    >>> result = score(0.5 * (reference + generator.normal(0, 0.05, reference.shape)), reference, rescaling="scalar")
+    >>> round(result.psnr_db, 2), round(result.rescale, 2)
     (26.21, 1.98)
     """
     return score_by(prediction, reference, ScoringRules(rescaling=rescaling), threads=threads)
@@ -251,17 +247,16 @@ def _factor(images: Pair, rules: ScoringRules, threads: int | None) -> float:
     if rules.rescaling == "none":
         return 1.0
     low, high = rules.treatment(1.0)[:2]
-    left_out = 1.0 if rules.rescaling_mask == "unsaturated" else math.nan  # nothing equals NaN
 
     def work(band: Band) -> tuple[float, float]:
-        return products(*images.blocks(band), low, high, left_out)
+        return products(*images.blocks(band), low, high)
 
     pg, pp = totals(images.over_bands(work, threads))
     return pg / pp if pp != 0.0 else 1.0
 
 
 def as_compared(prediction: Image, reference: Image, rules: ScoringRules, factor: float) -> tuple[Array, Array]:
-    """Return both images as :func:`score_by` compares them: the prediction treated, both rounded where rules say so.
+    """Treat the prediction, and round both images where rules say so: as :func:`score_by` compares them.
 
     Parameters
     ----------
@@ -287,7 +282,7 @@ def as_compared(prediction: Image, reference: Image, rules: ScoringRules, factor
 
 
 def _rounded(images: Pair, rules: ScoringRules, treatment: Treatment) -> Pair:
-    """Return both images as 8-bit codes, which float32 holds exactly."""
+    """Round both images to 8-bit codes, which float32 holds exactly."""
     half = 0.5 if rules.rounding == "8-bit" else 0.0
 
     def codes(image: Array, treatment: Treatment) -> NDArray[np.float32]:
@@ -303,7 +298,7 @@ def _rounded(images: Pair, rules: ScoringRules, treatment: Treatment) -> Pair:
 
 
 def rescale_factor(prediction: Image, reference: Image, *, threads: int | None = None) -> float:
-    """Return the factor by which ELD's evaluation multiplies a prediction before it is scored.
+    """Compute the factor by which ELD's evaluation multiplies a prediction before it is scored.
 
     With the prediction p clamped to [0, 1] and the reference g, it is ``<p, g> / <p, p>`` over the entries
     where g is not exactly 1 (saturated): the least-squares factor. This is the illuminance correction of the
@@ -344,7 +339,7 @@ def rescale(prediction: Array, reference: Image) -> Array: ...
 @overload
 def rescale(prediction: torch.Tensor, reference: Image) -> torch.Tensor: ...
 def rescale(prediction: Image, reference: Image) -> Image:
-    """Return the prediction as ELD's evaluation scores it: ``clip(alpha * clip(p, 0, 1), 0, 1)``.
+    """Rescale the prediction as ELD's evaluation scores it: ``clip(alpha * clip(p, 0, 1), 0, 1)``.
 
     ``alpha`` is :func:`rescale_factor`. The arithmetic is float64 on the host.
 

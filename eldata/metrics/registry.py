@@ -1,4 +1,4 @@
-"""The metrics: what each is, how it is shown, and what computes it.
+"""The metrics: what each is, how it is shown, what computes it; and the tables of those of images and of clips.
 
 A metric more is its function in a module of its own, an entry here, and its test. Tables, CSV, JSON, pages, comparisons
 and help read the entry. Nothing heavy is imported here: help shows it.
@@ -6,12 +6,13 @@ and help read the entry. Nothing heavy is imported here: help shows it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from eldata.base.numbers import Figure
+from eldata.errors import check_choice
 
 Rescaling = Literal["none", "scalar"]
-RescalingMask = Literal["unsaturated", "all"]
 PredictionClamp = Literal["both", "before", "none"]
 Rounding = Literal["none", "8-bit", "8-bit-truncated"]
 SsimWindow = Literal["uniform-7", "gaussian-11", "gaussian-11-volume"]
@@ -71,4 +72,82 @@ RESCALE: Final = Figure(
     meaning="the factor that the protocol multiplied a prediction by; 1 if it does not rescale",
     decimals=3,
     computed_by="eldata.metrics.image_score:rescale_factor",
+)
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What is scored.
+
+    Attributes
+    ----------
+    unit, counted
+        What one score is of, and what coverage counts: images score pairs.
+    metrics
+        What tables have means of.
+    values
+        Every number of a score.
+    facts
+        What the scores' CSV says before them.
+    """
+
+    unit: str
+    counted: str
+    metrics: tuple[Figure, ...]
+    values: tuple[str, ...]
+    facts: tuple[str, ...]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the scores' CSV."""
+        return (*self.facts, *self.values)
+
+    @property
+    def units(self) -> str:
+        """Several of its units, which is also the scores' name in the JSON."""
+        return f"{self.unit}s"
+
+    @property
+    def is_of_clips(self) -> bool:
+        """Whether windows of clips are scored, with whatever further columns."""
+        return self.unit == CLIPS.unit
+
+    def having(self, metric: Figure) -> Kind:
+        """Return it with one more column: a task of the user's own."""
+        return replace(self, metrics=(*self.metrics, metric), values=(*self.values, metric.name))
+
+    def metric(self, name: str) -> Figure:
+        """Return a column by its name.
+
+        Raises
+        ------
+        ArgumentError
+            If there is none; the message lists those that there are.
+        """
+        known = {metric.name: metric for metric in self.metrics}
+        check_choice("metric", name, known)
+        return known[name]
+
+    @property
+    def heads(self) -> tuple[str, ...]:
+        """Columns of a table of means."""
+        return self.counted, *(metric.heading for metric in self.metrics)
+
+
+IMAGES: Final = Kind(
+    unit="image",
+    counted="pairs",
+    metrics=(*OF_FRAMES.values(),),
+    values=(*OF_FRAMES, RESCALE.name),
+    facts=("path", "camera", "scene", "iso", "ratio"),
+)
+CLIPS: Final = Kind(
+    unit="video",
+    counted="videos",
+    metrics=(*OF_FRAMES.values(), ST_RRED),
+    values=(*OF_FRAMES, *OF_CLIPS, RESCALE.name),
+    facts=("scene", "split", "camera", "start", "frames"),
 )

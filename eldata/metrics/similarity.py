@@ -48,7 +48,7 @@ def ssim(
     covariance: Covariance = "sample",
     threads: int | None = None,
 ) -> float:
-    """Return the mean structural similarity.
+    """Compute the mean structural similarity.
 
     The index of Wang et al. (IEEE TIP 2004) with K1 = 0.01 and K2 = 0.03; by default as scikit-image has it. The
     arithmetic is float64, whatever the images' dtype. Nothing is clipped.
@@ -158,7 +158,7 @@ _ONE_CHANNEL = np.ones((1, 1))
 
 
 def _channel_mixing(channels: int) -> NDArray[np.float64]:
-    """Return how much of each channel a window around a channel holds, with the outer channels repeated outwards."""
+    """Weigh the channels in a window around each channel, with the outer channels repeated outwards."""
     mixing = np.zeros((channels, channels))
     for channel in range(channels):
         for offset in range(-RADIUS, RADIUS + 1):

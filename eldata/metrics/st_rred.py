@@ -63,15 +63,10 @@ class StRred:
         Mean over the blocks of the absolute difference of scaled entropies of the pair's first frame.
     temporal_pairs
         The same of the pair's frame difference.
-    spatial_single_pairs, temporal_single_pairs
-        The absolute difference of the means over the blocks: what is left when the sender of a video transmits
-        one number per frame and band.
     """
 
     spatial_pairs: tuple[float, ...]
     temporal_pairs: tuple[float, ...]
-    spatial_single_pairs: tuple[float, ...]
-    temporal_single_pairs: tuple[float, ...]
 
     @property
     def spatial(self) -> float:
@@ -88,11 +83,6 @@ class StRred:
         """``spatial * temporal``, the score that papers print."""
         return self.spatial * self.temporal
 
-    @property
-    def st_rred_single(self) -> float:
-        """The product of the means of the ``single`` pairs, the variant with least side information."""
-        return _mean(self.spatial_single_pairs) * _mean(self.temporal_single_pairs)
-
 
 def st_rred(
     prediction: Clip,
@@ -102,7 +92,7 @@ def st_rred(
     peak: float = PEAK_8_BIT,
     threads: int | None = None,
 ) -> StRred:
-    """Return the spatio-temporal entropic differences of two clips.
+    """Compute the spatio-temporal entropic differences of two clips.
 
     Let y be the band of the first frame of a pair that :func:`coarse_band` gives, and
     d the difference of the bands of both frames, each cut into blocks of 3 x 3. For the blocks b of either, with
@@ -196,7 +186,7 @@ def st_rred(
 
 
 def raw_to_grey(image: Image) -> Plane:
-    """Return the grey image of which the released code of the ELD paper takes the ST-RRED of a raw clip.
+    """Reduce a frame to the grey image of which the released code of the ELD paper takes the ST-RRED of a raw clip.
 
     ``0.2989 R + 0.5870 G + 0.1140 B``, the luma weights of 8-bit video as scikit-video rounds them (they add up to
     0.9999), on linear values without white balance; in packed Bayer G is the mean of G1 and G2. That is not the
@@ -236,12 +226,8 @@ def raw_to_grey(image: Image) -> Plane:
     return grey
 
 
-@dataclass(frozen=True, slots=True)
-class _Band:
-    """The band of a frame or of a difference, and the size of the values it was made of, both at ``peak``."""
-
-    values: Plane
-    size: float
+# The band of a frame or of a difference, and the size of the values it was made of, both at ``peak``.
+_Band: TypeAlias = tuple[Plane, float]
 
 
 def _band(frame: Image, name: str, scale: float) -> _Band:
@@ -249,43 +235,37 @@ def _band(frame: Image, name: str, scale: float) -> _Band:
     size = max(abs(float(grey.min())), abs(float(grey.max())))  # NaN comes through min and max
     if not math.isfinite(size):
         raise ArgumentError(f"{name} holds NaN or infinity")
-    return _Band(coarse_band(grey) * scale, size * scale)
+    return coarse_band(grey) * scale, size * scale
 
 
 def _information(first: _Band, second: _Band) -> tuple[Plane, Plane]:
-    """Return the scaled entropies of each block of a pair of frames: spatial, temporal."""
-    difference = _Band(first.values - second.values, max(first.size, second.size))
-    scale, entropy = _scale_and_entropy(first)
-    scale_of_difference, entropy_of_difference = _scale_and_entropy(difference)
+    """Compute the scaled entropies of each block of a pair of frames: spatial, temporal."""
+    scale, entropy = _scale_and_entropy(*first)
+    scale_of_difference, entropy_of_difference = _scale_and_entropy(first[0] - second[0], max(first[1], second[1]))
     weight = np.log2(1.0 + scale)
     return entropy * weight, entropy_of_difference * weight * np.log2(1.0 + scale_of_difference)
 
 
-def _scale_and_entropy(band: _Band) -> tuple[Plane, Plane]:
-    """Return s and h of :func:`st_rred` for each block of a band."""
-    rows, columns = (side // _BLOCK for side in band.values.shape)
-    cut = band.values[: rows * _BLOCK, : columns * _BLOCK]
+def _scale_and_entropy(values: Plane, size: float) -> tuple[Plane, Plane]:
+    """Compute s and h of :func:`st_rred` for each block of a band."""
+    rows, columns = (side // _BLOCK for side in values.shape)
+    cut = values[: rows * _BLOCK, : columns * _BLOCK]
     windows = np.lib.stride_tricks.sliding_window_view(cut, (_BLOCK, _BLOCK)).reshape(-1, _BLOCK**2)
     blocks = cut.reshape(rows, _BLOCK, columns, _BLOCK).swapaxes(1, 2).reshape(-1, _BLOCK**2)
     centred = windows - windows.mean(axis=0)
     # einsum and not @: BLAS may split the sum by its own number of threads.
     eigenvalues, vectors = np.linalg.eigh(np.einsum("ni,nj->ij", centred, centred) / len(windows))
-    counts = eigenvalues > max((_LEAST_AMPLITUDE * band.size) ** 2, _LEAST_EIGENVALUE * eigenvalues[-1])
+    counts = eigenvalues > max((_LEAST_AMPLITUDE * size) ** 2, _LEAST_EIGENVALUE * eigenvalues[-1])
     eigenvalues, vectors = eigenvalues[counts], vectors[:, counts]
     scale = np.sum(np.einsum("ni,ik->nk", blocks, vectors) ** 2 / eigenvalues, axis=1) / _BLOCK**2
     entropies = np.log2(scale[:, np.newaxis] * eigenvalues + _NOISE_VARIANCE) + math.log(2.0 * math.pi * math.e)
     return scale, entropies.sum(axis=1)
 
 
-def _compare(prediction: tuple[Plane, Plane], reference: tuple[Plane, Plane]) -> tuple[float, float, float, float]:
-    """Return a pair's scores in the order of :class:`StRred`."""
-    spatial, temporal = (p - g for p, g in zip(prediction, reference, strict=True))
-    return (
-        float(np.mean(np.abs(spatial))),
-        float(np.mean(np.abs(temporal))),
-        abs(float(np.mean(spatial))),
-        abs(float(np.mean(temporal))),
-    )
+def _compare(prediction: tuple[Plane, Plane], reference: tuple[Plane, Plane]) -> tuple[float, float]:
+    """Compute a pair's scores in the order of :class:`StRred`."""
+    spatial, temporal = (float(np.mean(np.abs(p - g))) for p, g in zip(prediction, reference, strict=True))
+    return spatial, temporal
 
 
 def _check_clip(clip: Clip, name: str) -> None:
@@ -334,7 +314,7 @@ _HALVINGS = 3  # how often the image is halved before the band is taken
 
 
 def _mirrored(quadrant: Sequence[Sequence[float]]) -> Plane:
-    """Return the filter whose lower right quadrant, the centre included, is given."""
+    """Complete a filter from its lower right quadrant, the centre included."""
     taps = np.asarray(quadrant)
     radius = len(taps) - 1
     return np.pad(taps, ((radius, 0), (radius, 0)), "reflect")
@@ -371,7 +351,7 @@ _BAND = np.concatenate([-_LOWER_BAND[::-1], np.zeros((1, 7)), _LOWER_BAND])
 
 
 def coarse_band(image: Plane) -> Plane:
-    """Return the band of the fourth level that answers to what changes down the rows, at an eighth of the size.
+    """Compute the band of the fourth level that answers to what changes down the rows, at an eighth of the size.
 
     It is the fourth of the six orientations in matlabPyrTools and pyrtools, and the first in scikit-video, which
     reads the same taps in transposed order.

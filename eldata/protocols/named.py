@@ -9,9 +9,16 @@ from typing import TYPE_CHECKING, Any
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, ManifestError, did_you_mean
-from eldata.protocols.digests import NEUTRAL, scoring
-from eldata.protocols.kinds import IMAGES
-from eldata.protocols.protocol import ANY_DATASET, CHOICES, ONE_CAMERAS_LEVELS, ClipProtocol, Protocol
+from eldata.metrics.registry import IMAGES
+from eldata.protocols.protocol import (
+    ANY_DATASET,
+    CHOICES,
+    NEUTRAL,
+    ONE_CAMERAS_LEVELS,
+    ClipProtocol,
+    Protocol,
+    scoring,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -36,7 +43,7 @@ def _shipped(content: Mapping[str, Any]) -> dict[str, Protocol]:
 
 
 def _value(value: Any, texts: dict[str, str]) -> Any:
-    """Return a field as a protocol has it: lists as tuples, texts put in, no text at all as ``None``."""
+    """Convert a field to what a protocol holds: lists as tuples, texts put in, no text at all as ``None``."""
     if isinstance(value, list):
         return tuple(value)
     return value.strip().format_map(texts) or None if isinstance(value, str) else value
@@ -53,7 +60,7 @@ FAMILIES: tuple[str, ...] = tuple(dict.fromkeys(p.family for p in PROTOCOLS.valu
 
 
 def get_protocol(name: str | Path, dataset: str | None = None, *, own: bool = False) -> Protocol:
-    """Return a protocol by its name, by the path of a TOML file, or by a family's name and a dataset.
+    """Find a protocol by its name, by the path of a TOML file, or by a family's name and a dataset.
 
     Parameters
     ----------
@@ -98,21 +105,21 @@ def get_protocol(name: str | Path, dataset: str | None = None, *, own: bool = Fa
 
 
 def of_digest(digest: str) -> tuple[Protocol, ...]:
-    """Return the protocols that a digest means, or its beginning.
+    """Find the protocols of a digest, or of its beginning.
 
     Raises
     ------
     ArgumentError
         If no shipped protocol has such a digest.
     """
-    found = tuple(protocol for protocol in PROTOCOLS.values() if protocol.digest.startswith(digest))
-    if not found:
+    protocols = tuple(protocol for protocol in PROTOCOLS.values() if protocol.digest.startswith(digest))
+    if not protocols:
         raise ArgumentError(f"no shipped protocol has the digest {digest}")
-    return found
+    return protocols
 
 
 def members_of(family: str) -> tuple[Protocol, ...]:
-    """Return the protocols of a family; none if there is no such family."""
+    """List the protocols of a family; none if there is no such family."""
     return tuple(protocol for protocol in PROTOCOLS.values() if protocol.family == family)
 
 
@@ -140,7 +147,7 @@ def default_protocol(card: Card) -> Protocol:
 
 
 def protocols_for(dataset: str) -> tuple[Protocol, ...]:
-    """Return the protocols that were made for a dataset.
+    """List the protocols that were made for a dataset.
 
     A set of no known name has its own pairs, so it gets one protocol of images of each way to score, the first of the
     shipped ones. Levels that are those of one camera, whatever the file states, are not a way to score
@@ -153,7 +160,7 @@ def protocols_for(dataset: str) -> tuple[Protocol, ...]:
     ['eld', 'eld-uncorrected', 'pmn-eld', 'sony-eld', 'led-eld', 'lrd-eld', 'eld-srgb', 'eld-raw2rgb', 'eld-rgb2rgb']
     """
     every = PROTOCOLS.values()
-    covering = tuple(one for one in every if one.dataset != ANY_DATASET and one.covers(dataset))
+    covering = tuple(protocol for protocol in every if protocol.dataset != ANY_DATASET and protocol.covers(dataset))
     if covering:
         return covering
     ways: list[Protocol] = []
@@ -170,7 +177,6 @@ def protocols_for(dataset: str) -> tuple[Protocol, ...]:
 
 _BASE = "base"
 _LISTS_OF_TEXT = ("cameras", "scenes")
-_NUMBERS = ("data_range", "mse_offset")
 _KNOWN = (_BASE, *(name for name in names_of(Protocol) if name != "family"))
 _LARGEST_BYTES = 1 << 20
 
@@ -219,7 +225,7 @@ def _ratio(top: Fields, name: str) -> Any:
 
 
 def _response_in(top: Fields, folder: Path) -> str:
-    """Return the response that a file states, with the points of the curve in the files that it names."""
+    """Read the response that a file states, with the points of the curve in the files that it names."""
     from eldata.isp.response import read_response_table
 
     if isinstance(top.data["response"], str):
@@ -231,12 +237,12 @@ def _response_in(top: Fields, folder: Path) -> str:
 
 
 def _field_of(top: Fields, name: str) -> Any:
-    """Return a field's value as :class:`Protocol` has it."""
+    """Read a field's value as :class:`Protocol` has it."""
     if name == _BASE:
         return top.choice(name, tuple(PROTOCOLS))
     if name in CHOICES:
         return top.choice(name, CHOICES[name])
-    if name in _NUMBERS:
+    if name == "mse_offset":
         return top.number(name)
     if name == "ratios":
         return top.each(name, _ratio, expected="a list of positive numbers, such as [100, 200]; [] for all")

@@ -1,20 +1,31 @@
-"""What a protocol of images or of clips is: every choice that a score depends on besides the pixels."""
+"""What a protocol of images or of clips is: every choice that a score depends on besides the pixels; and its digest."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from abc import ABC, abstractmethod
-from dataclasses import asdict, dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
+from dataclasses import MISSING, asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
 
 from eldata.base.tables import block, facts
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, check_choice
-from eldata.metrics.registry import Covariance, PredictionClamp, Rescaling, RescalingMask, Rounding, SsimWindow  # noqa: TC001
-from eldata.protocols.digests import NEUTRAL, SCORED, fields_digest
-from eldata.protocols.kinds import CLIPS, IMAGES, Kind
+from eldata.metrics.registry import (
+    CLIPS,
+    IMAGES,
+    Covariance,
+    Kind,
+    PredictionClamp,
+    Rescaling,
+    Rounding,
+    SsimWindow,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from eldata.isp.rendering import Response
     from eldata.metrics.image_score import ScoringRules
 
@@ -32,6 +43,9 @@ ANY_DATASET = "any"
 
 ONE_CAMERAS_LEVELS: tuple[Levels, ...] = ("sid-sony", "sid-fuji", "lrid")
 """Levels that are constants of one camera, whatever the file states."""
+
+SCORED: Final = "scored"
+"""Value of ``rescaling_region``: the region that is scored."""
 
 NO_SHADING = "none"
 """Value of ``dark_shading``: the input is as the camera took it."""
@@ -51,7 +65,7 @@ class _Described(ABC):
 
     @property
     def digest(self) -> str:
-        """``sha256:<hex>`` of all that decides a score (:mod:`eldata.protocols.digests`)."""
+        """``sha256:<hex>`` of all that decides a score (:func:`canonical`)."""
         return fields_digest(self.as_dict())
 
     def __repr__(self) -> str:
@@ -95,7 +109,7 @@ class Protocol(_Described):
     rescaling_region
         The part of the frame that the factor is found on: ``scored``, the region, or another in its words. LED finds it
         on the ``full`` frame.
-    rescaling, rescaling_mask, prediction_clamp, rounding, data_range, mse_offset, ssim_window, ssim_covariance
+    rescaling, prediction_clamp, rounding, mse_offset, ssim_window, ssim_covariance
         How the prediction is brought to the reference and compared with it:
         :class:`~eldata.metrics.image_score.ScoringRules`.
     quantisation
@@ -144,12 +158,11 @@ class Protocol(_Described):
     title: str
     source: str
     dataset: str
-    ratios: tuple[int | float, ...]
     levels: Levels
     reference_clip: Clip
     region: str
     rescaling: Rescaling
-    data_range: float = 1.0
+    ratios: tuple[int | float, ...] = ()
     rounding: Rounding = "none"
     family: str = ""
     subset: str | None = None
@@ -163,7 +176,6 @@ class Protocol(_Described):
     input_space: Space = "raw"
     prediction_space: Space = "raw"
     response: str = "gamma-2.2"
-    rescaling_mask: RescalingMask = "unsaturated"
     rescaling_region: str = SCORED
     prediction_clamp: PredictionClamp = "both"
     mse_offset: float = 0.0
@@ -178,7 +190,7 @@ class Protocol(_Described):
         error = f"mean squared error over all {'packed entries' if self.space == 'raw' else 'values'}"
         if self.mse_offset:
             error = f"({error} + {self.mse_offset:g})"
-        return f"10 log10({self.data_range**2:g} / {error})"
+        return f"10 log10(1 / {error})"
 
     @property
     def ssim(self) -> str:
@@ -199,7 +211,14 @@ class Protocol(_Described):
         """What decides the scores of a prediction and a reference in the region."""
         from eldata.metrics.image_score import ScoringRules
 
-        return ScoringRules(**{field.name: getattr(self, field.name) for field in fields(ScoringRules)})
+        return ScoringRules(
+            rescaling=self.rescaling,
+            prediction_clamp=self.prediction_clamp,
+            rounding=self.rounding,
+            mse_offset=self.mse_offset,
+            ssim_window=self.ssim_window,
+            ssim_covariance=self.ssim_covariance,
+        )
 
     @property
     def pixels(self) -> Pixels:
@@ -224,7 +243,7 @@ class Protocol(_Described):
         return "metadata" if self.levels == "metadata-per-channel" else self.levels
 
     def covers(self, dataset: str) -> bool:
-        """Return whether it is for a dataset of this name."""
+        """Say whether it is for a dataset of this name."""
         return self.dataset in (ANY_DATASET, dataset) or dataset.startswith(f"{self.dataset}-")
 
     def as_dict(self) -> dict[str, Any]:
@@ -234,7 +253,7 @@ class Protocol(_Described):
         return plain | {"prediction_space": made, "psnr": self.psnr, "ssim": self.ssim}
 
     def crop(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
-        """Return the index of the region in an image of this shape, (C, h, w).
+        """Index the region in an image of this shape, (C, h, w).
 
         Raises
         ------
@@ -249,7 +268,7 @@ class Protocol(_Described):
         return self.region if self.rescaling_region == SCORED else self.rescaling_region
 
     def factor_crop(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
-        """Return the index of what the factor is found on, as :meth:`crop` does; of the region if there is none."""
+        """Index the part that the factor is found on, as :meth:`crop` does; the region if there is no factor."""
         return _crop(self.region if self.rescaling == "none" else self.factor_region, shape)
 
     def check(self) -> None:
@@ -286,8 +305,8 @@ class Protocol(_Described):
                 f"rendering 'eld-isp' makes 8 bits, and of predictions in {self.prediction_space} rounding must be "
                 f"{rounding!r}, not {self.rounding!r}"
             )
-        if self.rendering == "eld-isp" and (self.data_range, self.mse_offset) != (1.0, 0.0):
-            raise ArgumentError("rendering 'eld-isp' is scored on data range 1 with mse_offset 0")
+        if self.rendering == "eld-isp" and self.mse_offset:
+            raise ArgumentError("rendering 'eld-isp' is scored with mse_offset 0")
         if any(ratio <= 0 for ratio in self.ratios):
             raise ArgumentError(f"ratios must be positive; found {list(self.ratios)}")
 
@@ -306,12 +325,12 @@ def _crop(region: str, shape: tuple[int, ...]) -> tuple[slice, ...]:
 
 
 def _kind_and_size(field: str, region: str) -> tuple[str, int]:
-    """Return a region's kind and its size in packed pixels."""
-    found = _REGION.fullmatch(region)
-    if found is None:
+    """Split a region into its kind and its size in packed pixels."""
+    match = _REGION.fullmatch(region)
+    if match is None:
         other = f", or {SCORED!r}" if field == "rescaling_region" else ""
         raise ArgumentError(f"{field} must be 'full', 'centre-N' or 'border-N'{other}; found {region!r}")
-    return found[1] or "full", int(found[2] or 0)
+    return match[1] or "full", int(match[2] or 0)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -357,6 +376,72 @@ CHOICES: dict[str, tuple[str, ...]] = {
 """Fields that have one of a few values, and these."""
 
 
+# --- digests ----------------------------------------------------------------------------------------------------------
+
+# Stands for what no field says: the definitions of PSNR, SSIM and ST-RRED, the order of the steps.
+_VERSION: Final = 1
+
+_PROSE: Final = ("name", "title", "source", "family", "psnr", "ssim", "st_rred", "reference")
+
+CHOOSING: Final = ("dataset", "ratios", "subset", "cameras", "scenes")
+"""Fields that choose the pairs."""
+
+OF_INPUT: Final = ("input_clip", "amplification", "dark_shading", "input_space")
+"""Fields of the noisy input: they decide the score of the input itself, and of a prediction through its method."""
+
+_LARGEST_WHOLE: Final = 2**53  # that a float holds
+
+
+def canonical(stated: Mapping[str, Any]) -> dict[str, Any]:
+    """List what decides a score: no prose, nothing that is neutral, nothing without effect.
+
+    A field that is added later, whose default means what was done before, changes no digest; neither does rewording.
+
+    Parameters
+    ----------
+    stated
+        Fields as :meth:`Protocol.as_dict` or a result's JSON has them. Missing ones are neutral (:data:`NEUTRAL`).
+
+    Returns
+    -------
+    dict
+        Plain types: numbers are floats, lists are sorted. ``version`` is that of this list.
+    """
+    values = {name: _to_plain(value) for name, value in stated.items() if name not in _PROSE}
+    if values.get("rescaling") == "none" or values.get("rescaling_region") == values.get("region"):
+        values.pop("rescaling_region", None)
+    if values.get("rendering") == "libraw":  # which says it already
+        values.pop("prediction_space", None)
+    deciding = {name: value for name, value in values.items() if name not in NEUTRAL or value != NEUTRAL[name]}
+    return {"version": _VERSION, **deciding}
+
+
+def scoring(stated: Mapping[str, Any]) -> dict[str, Any]:
+    """List what of :func:`canonical` decides the score of a given prediction: neither pairs nor input."""
+    return {name: value for name, value in canonical(stated).items() if name not in (*CHOOSING, *OF_INPUT)}
+
+
+def fields_digest(stated: Mapping[str, Any]) -> str:
+    """``sha256:<hex>`` of what decides a score (:func:`canonical`), as JSON with sorted names."""
+    return f"sha256:{hashlib.sha256(json.dumps(canonical(stated), sort_keys=True).encode()).hexdigest()}"
+
+
+def _to_plain(value: Any) -> Any:
+    """Write 100 as 100.0, and a list in an order that does not depend on how it was written."""
+    if isinstance(value, (list, tuple)):
+        return sorted((_to_plain(item) for item in value), key=json.dumps)
+    exact = type(value) is int and abs(value) <= _LARGEST_WHOLE
+    return float(value) if exact else value
+
+
+NEUTRAL: Final[Mapping[str, Any]] = {
+    field.name: _to_plain(field.default)
+    for field in fields(Protocol)
+    if field.default is not MISSING and field.name not in _PROSE
+}
+"""What a protocol means that does not state a field. Defaults stay as they are for ever: digests depend on them."""
+
+
 # --- clips ------------------------------------------------------------------------------------------------------------
 
 
@@ -366,7 +451,7 @@ OWN_SEQUENCES = "own-sequences"
 # What a clip's protocol states of itself, in this order; of the rest, which is about images, what is not neutral.
 _STATED = (
     *("name", "title", "source", "dataset", "pixels", "rescaling", "frames", "frame_count", "levels"),
-    *("reference_clip", "reference", "region", "data_range", "st_rred_peak", "psnr", "ssim", "st_rred"),
+    *("reference_clip", "reference", "region", "st_rred_peak", "psnr", "ssim", "st_rred"),
 )
 
 
@@ -390,13 +475,12 @@ class ClipProtocol(Protocol):
         Their number; 0: every frame that a clip has.
     reference
         What a frame is compared with.
-    st_rred_peak
-        Scale at which ST-RRED is taken (:func:`eldata.metrics.st_rred`).
     """
 
     kind: ClassVar[Kind] = CLIPS
+    st_rred_peak: ClassVar[float] = 1.0
+    """Scale at which ST-RRED is taken (:func:`eldata.metrics.st_rred`)."""
 
-    ratios: tuple[int | float, ...] = ()
     levels: Levels = "metadata"
     reference_clip: Clip = "both"
     region: str = "full"
@@ -405,7 +489,6 @@ class ClipProtocol(Protocol):
     frames: Literal["evaluation", "all"] = "evaluation"
     frame_count: int = 5
     reference: str = "the clip's one still, for every frame"
-    st_rred_peak: float = 1.0
 
     @property
     def psnr(self) -> str:
@@ -426,11 +509,11 @@ class ClipProtocol(Protocol):
         return "of the grey frames after rescaling, frames in pairs 0-1, 2-3, as scikit-video 1.1.11 has it"
 
     def covers(self, dataset: str) -> bool:
-        """Return whether it is for a dataset of this name."""
+        """Say whether it is for a dataset of this name."""
         return self.dataset == dataset != OWN_SEQUENCES
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what it states as plain types, with the definitions of its metrics."""
+        """List what it states as plain types, with the definitions of its metrics."""
         every = Protocol.as_dict(self)  # super() does not find its class in one with slots
         more = {name: value for name, value in every.items() if value != NEUTRAL.get(name, value)}
         return {name: getattr(self, name) for name in _STATED} | more

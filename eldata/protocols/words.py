@@ -5,8 +5,8 @@ from __future__ import annotations
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
-from eldata.protocols.digests import NEUTRAL, OF_THE_FACTOR, SCORED, canonical
-from eldata.protocols.kinds import IMAGES
+from eldata.metrics.registry import IMAGES
+from eldata.protocols.protocol import NEUTRAL, SCORED, canonical
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -25,7 +25,6 @@ LEVELS = {
 CLIPS = {"both": "to [0, 1]", "upper": "at 1 only", "none": "none"}
 _CLAMPS = {"both": "to [0, 1], before and after the factor", "before": "to [0, 1] before the factor", "none": "none"}
 _RESCALINGS = {"scalar": "one factor per image", "none": "none"}
-_MASKS = {"unsaturated": "where the reference is not 1", "all": "everywhere"}
 _ROUNDINGS = {"none": "none", "8-bit": "to the nearest of 256 levels", "8-bit-truncated": "down to one of 256 levels"}
 _QUANTISATIONS = {
     "none": "none",
@@ -90,12 +89,10 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "reference": ("reference", str),
     "region": ("region", region_words),
     "rescaling": ("rescaling", lambda value: _RESCALINGS[value]),
-    "rescaling_mask": ("factor found", lambda value: _MASKS[value]),
     "rescaling_region": ("factor's region", lambda value: "the scored one" if value == SCORED else region_words(value)),
     "prediction_clamp": ("prediction's clamp", lambda value: _CLAMPS[value]),
     "quantisation": ("prediction's values", lambda value: _QUANTISATIONS[value]),
     "rounding": ("rounding", lambda value: _ROUNDINGS[value]),
-    "data_range": ("data range", lambda value: f"{value:g}"),
     "mse_offset": ("added to the error", lambda value: f"{value:g}"),
     "ssim_window": ("SSIM window", lambda value: _WINDOWS[value]),
     "ssim_covariance": ("SSIM covariance", str),
@@ -123,9 +120,9 @@ def in_words(field: str, value: Any) -> str:
 def described(protocol: Protocol) -> list[tuple[str, str]]:
     """Return a protocol's fields, in words, in the order of an evaluation; those that play no part are left out."""
     values = protocol.as_dict()
-    skipped = {"ssim_window", "ssim_covariance", "ssim_planes", "mse_offset", "data_range"}  # PSNR and SSIM say them
+    skipped = {"ssim_window", "ssim_covariance", "ssim_planes", "mse_offset"}  # PSNR and SSIM say them
     if protocol.rescaling == "none":
-        skipped |= {"rescaling_mask", "rescaling_region"}
+        skipped.add("rescaling_region")
     if protocol.rendering == "none":
         skipped.add("rendering")
     skipped |= {field for field in ("response", "quantisation") if getattr(protocol, field) == NEUTRAL[field]}
@@ -148,7 +145,7 @@ HEADER = ("protocol", "dataset", "pairs", "unlike eld")
 
 
 def summary(protocol: Protocol, eld: Protocol) -> tuple[str, ...]:
-    """Return a protocol's cells in such a list, of which the last says in what it differs from the paper's."""
+    """Make a protocol's cells of such a list; the last names its differences from the paper's."""
     own, usual = _distinguished(protocol), _distinguished(eld)
     unlike = "; ".join(f"{name} {cell}" for name, cell in own.items() if cell != usual[name])
     return protocol.name, protocol.dataset, _pairs(protocol), unlike
@@ -164,7 +161,7 @@ def _pairs(protocol: Protocol) -> str:
 
 
 def _distinguished(protocol: Protocol) -> dict[str, str]:
-    """Return in short what distinguishes protocols from one another."""
+    """Summarise what distinguishes protocols from one another."""
     levels = {"published": "16383", "metadata": "file", "metadata-per-channel": "file, channel"}
     levels |= {"sid-sony": "16383, black 512", "sid-fuji": "16383, black 1024", "lrid": "1023, black 64"}
     scalar = "yes" if protocol.factor_region == protocol.region else f"from {_region(protocol.factor_region)}"
@@ -207,7 +204,7 @@ def comparability(
     equal: Sequence[Mapping[str, Collection[str]]] = (),
     ignored: Collection[str] = (),
 ) -> list[str]:
-    """Return in words in what two protocols differ; nothing if their scores compare.
+    """Name the differences of two protocols in words; none if their scores compare.
 
     Names and sentences do not count: two protocols of different names may score alike. Neither do fields that have no
     effect, such as where a factor is found that is not used.
@@ -216,7 +213,7 @@ def comparability(
     ----------
     first, second
         Protocols as a result's JSON holds them (``protocol``), of images or of clips. A field that one of them does not
-        state, because an older version wrote it, is neutral (:data:`eldata.protocols.digests.NEUTRAL`).
+        state, because an older version wrote it, is neutral (:data:`eldata.protocols.protocol.NEUTRAL`).
     equal
         Values of a field that came to the same where something was scored, by the field: such as ``{"levels":
         ["published", "sid-sony"]}`` of files whose black level is 512.
@@ -231,9 +228,7 @@ def comparability(
     a, b = canonical(first), canonical(second)
     names = [name for name in dict.fromkeys((*FIELDS, *a, *b)) if name not in ignored and a.get(name) != b.get(name)]
     regions = [_factor_region(fields) for fields in (first, second)]
-    if "rescaling" in names:  # where a factor is found says nothing against no factor
-        names = [name for name in names if name not in OF_THE_FACTOR]
-    elif regions[0] == regions[1]:
+    if "rescaling" in names or regions[0] == regions[1]:  # where a factor is found says nothing against no factor
         names = [name for name in names if name != "rescaling_region"]
     stated = [{**fields, "rescaling_region": region} for fields, region in zip((first, second), regions, strict=True)]
     return [
@@ -245,8 +240,8 @@ def comparability(
 
 
 def _factor_region(protocol: Mapping[str, Any]) -> Any:
-    found = _value(protocol, "rescaling_region")
-    return protocol.get("region") if found == SCORED else found
+    region = _value(protocol, "rescaling_region")
+    return protocol.get("region") if region == SCORED else region
 
 
 def _value(protocol: Mapping[str, Any], name: str) -> Any:

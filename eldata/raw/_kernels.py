@@ -134,14 +134,14 @@ def mirror(source: NDArray[Any], target: NDArray[Any], flip_rows: bool, flip_col
     """Fill ``target`` with the top left part of ``source`` flipped: with (True, True) of ``source[::-1, ::-1]``."""
     rows, columns = source.shape
     for y in range(target.shape[0]):
-        taken = contiguous(source[rows - 1 - y if flip_rows else y])
-        given = target[y]
+        row = contiguous(source[rows - 1 - y if flip_rows else y])
+        out = target[y]
         if flip_columns:
             for x in range(target.shape[1]):
-                given[x] = taken[np.uint64(columns - 1 - x)]  # unsigned: the compiler sees that none is negative
+                out[x] = row[np.uint64(columns - 1 - x)]  # unsigned: the compiler sees that none is negative
         else:
             for x in range(target.shape[1]):
-                given[x] = taken[x]
+                out[x] = row[x]
 
 
 @kernel
@@ -160,9 +160,9 @@ def transpose(source: NDArray[Any], target: NDArray[Any], flip_rows: bool, flip_
         row4, row5, row6, row7 = source[first], source[first + step], source[first + 2 * step], source[first + 3 * step]
         for y in range(height):
             column = np.uint64(columns - 1 - y if flip_rows else y)  # unsigned, as above
-            given = target[y, x : x + 8]
-            given[0], given[1], given[2], given[3] = row0[column], row1[column], row2[column], row3[column]
-            given[4], given[5], given[6], given[7] = row4[column], row5[column], row6[column], row7[column]
+            out = target[y, x : x + 8]
+            out[0], out[1], out[2], out[3] = row0[column], row1[column], row2[column], row3[column]
+            out[4], out[5], out[6], out[7] = row4[column], row5[column], row6[column], row7[column]
     for x in range(width - width % 8, width):
         row = source[rows - 1 - x if flip_columns else x]
         for y in range(height):

@@ -106,7 +106,6 @@ def read_container(path: Path) -> RawContainer:
     """
     directories: tuple[Directory, ...] = ()
     exif = image = Directory({})
-    iso = None
     with path.open("rb") as file:
         head = file.read(_HEAD)
         for kind, block in _exif_blocks(path, file, head):
@@ -120,8 +119,7 @@ def read_container(path: Path) -> RawContainer:
                 exif, _ = reader.read_first()
             else:
                 image, exif = reader.read_first()
-            iso = _read_iso(reader, image, exif)
-    return RawContainer(path, head, directories, _read_header(path, image, exif, iso))
+    return RawContainer(path, head, directories, _read_header(path, image, exif))
 
 
 def check_container(file: RawContainer) -> None:
@@ -140,12 +138,14 @@ def check_container(file: RawContainer) -> None:
 # --- camera and exposure ----------------------------------------------------------------------------------------------
 
 
-def _read_header(path: Path, image: Directory, exif: Directory, iso: Fraction | None) -> RawHeader:
+def _read_header(path: Path, image: Directory, exif: Directory) -> RawHeader:
     make, model = image.texts.get(tiff.MAKE, ""), image.texts.get(tiff.MODEL, "")
     if not make and not model:
         model = image.texts.get(tiff.UNIQUE_MODEL, "")
     times = (_positive(image, exif, tag) for tag in (tiff.EXPOSURE_TIME, tiff.F_NUMBER))
-    return RawHeader(path, make, model, Exposure(iso, *times), _read_taken(exif) or _read_taken(image))
+    return RawHeader(
+        path, make, model, Exposure(_read_iso(image, exif), *times), _read_taken(exif) or _read_taken(image)
+    )
 
 
 def _read_taken(directory: Directory) -> datetime | None:
@@ -159,7 +159,7 @@ def _read_taken(directory: Directory) -> datetime | None:
     return taken.replace(microsecond=int(fraction)) if taken.year >= _FIRST_YEAR else None
 
 
-def _read_iso(reader: TiffReader, image: Directory, exif: Directory) -> Fraction | None:
+def _read_iso(image: Directory, exif: Directory) -> Fraction | None:
     stated = _positive(image, exif, tiff.ISO)
     if stated is not None and stated != _ISO_BEYOND_16_BITS:
         return stated
@@ -172,8 +172,7 @@ def _read_iso(reader: TiffReader, image: Directory, exif: Directory) -> Fraction
         isos = (image.number(tag, 0) for tag in tiff.PANASONIC_ISOS)
         iso = next((Fraction(iso) for iso in isos if iso > 0), None)
         return None if iso == _ISO_BEYOND_16_BITS else iso
-    is_nikon = image.texts.get(tiff.MAKE, "").upper().startswith("NIKON")
-    return Fraction(reader.read_nikon_iso(exif)) or None if is_nikon else None
+    return None
 
 
 def _positive(image: Directory, exif: Directory, tag: int) -> Fraction | None:

@@ -78,7 +78,6 @@ if TYPE_CHECKING:
     from eldata.raw.tiff import Directory
     from eldata.records import Matrix3, RawHeader
 
-_LEAST_APART_DN = 0.5  # between masked pixels and the stated level, to be remarked on
 # By number, DNG specification 1.7.1, chapter 7.
 _OPCODES = (
     *("WarpRectilinear", "WarpFisheye", "FixVignetteRadial", "FixBadPixelsConstant", "FixBadPixelsList"),
@@ -112,7 +111,7 @@ def read_header(path: Path | str | StatedFile) -> RawHeader:
 def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
     """Read a raw file's header and, if it is to be decoded, its sensor, or why it does not decode or is damaged.
 
-    The header has what there is to remark of the file; one with masked pixels is decoded for it.
+    The header has what there is to remark of the file, as far as it is known without its pixels or with them.
 
     Raises
     ------
@@ -124,7 +123,7 @@ def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileE
 
 def _read_facts(file: RawContainer, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
     header = _read_header(file)
-    if not decode and (file.main is None or tiff.MASKED_AREAS not in file.main.values):
+    if not decode:
         return header, None
     try:
         frame = _read_frame(file)
@@ -203,7 +202,6 @@ def _read_frame(file: RawContainer) -> RawFrame:
                 # What the image does not state, LibRaw takes from its proxy; by the specification black is 0.
                 black, white = (0.0,) * len(index_of), dng_white_level(main)
             black = dng_black_levels(path, main, raw, cfa) or black
-            remarks += masked_remarks(main, raw.raw_image, black)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
         first = file.directories[0] if file.directories else tiff.Directory({})
@@ -357,7 +355,8 @@ def camera_matrix(raw: rawpy.RawPy, first: Directory) -> tuple[Matrix3 | None, i
     ]
     illuminant, numbers = D65, [round(float(value), 6) for row in raw.rgb_xyz_matrix[:3] for value in row]  # its table
     if stated:
-        preferred = [one for one in stated if one[0] == D65] or [one for one in stated if one[0] in _DAYLIGHT]
+        of_d65 = [light for light in stated if light[0] == D65]
+        preferred = of_d65 or [light for light in stated if light[0] in _DAYLIGHT]
         illuminant, values = (preferred or stated[-1:])[0]
         numbers = [exact_number(Fraction(value)) for value in values]
     if not any(numbers):
@@ -390,21 +389,3 @@ def opcode_remarks(mosaic: Directory) -> tuple[str, ...]:
         if names:
             remarks.append(f"its OpcodeList{number} ({', '.join(names)}) is not applied: {meaning}")
     return tuple(remarks)
-
-
-def masked_remarks(mosaic: Directory, stored: NDArray[np.uint16], black_dn: Sequence[float]) -> tuple[str, ...]:
-    """Remark on masked pixels, which no light reaches, if their mean is not the stated black.
-
-    ``stored``: all pixels, (H, W) in DN.
-    """
-    corners = zip(*[map(int, mosaic.values.get(tiff.MASKED_AREAS, ()))] * 4, strict=True)
-    values = np.concatenate([stored[:0, 0], *(stored[y:below, x:beside].ravel() for y, x, below, beside in corners)])
-    level = float(np.mean(black_dn))
-    mean = float(values.mean()) if values.size else level
-    if abs(mean - level) < _LEAST_APART_DN:
-        return ()
-    remark = (
-        f"its masked pixels (MaskedAreas) have a mean of {mean:.1f} DN, but its BlackLevel says {level:.1f} DN, which "
-        "is taken, as the DNG specification has it"
-    )
-    return (remark,)

@@ -49,7 +49,7 @@ CALIBRATIONS, ANALOG_BALANCE = (50723, 50724), 50727
 SIGNATURES = (50931, 50932)  # of the calibrations, and of the profile that they are for
 
 MAKE, MODEL, UNIQUE_MODEL = 271, 272, 50708
-EXPOSURE_TIME, F_NUMBER, TAKEN, TAKEN_FRACTION, MAKER_NOTE = 33434, 33437, 36867, 37521, 37500
+EXPOSURE_TIME, F_NUMBER, TAKEN, TAKEN_FRACTION = 33434, 33437, 36867, 37521
 ISO, SENSITIVITY_TYPE, OUTPUT_SENSITIVITY, EXPOSURE_INDEX, ISO_SPEED = 34855, *range(34864, 34868)
 PANASONIC, PANASONIC_ISOS = 1, (55, 23)  # in a Panasonic's first directory
 
@@ -60,7 +60,6 @@ _LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK
 _LEVELS |= {WHITE_LEVEL: "WhiteLevel"}
 
 _SUB_IFDS, EXIF_IFD = 330, 34665
-_NIKON_ISO = 2  # in a Nikon's own directory
 # Tags whose values are read, and so must lie inside the file.
 _READ = {
     *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT, SAMPLES, ROWS_PER_STRIP),
@@ -79,7 +78,6 @@ _CODES = {1: "B", 3: "H", 4: "I", 5: "I", 6: "b", 7: "B", 8: "h", 9: "i", 10: "i
 # entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
 # tiles of 128 x 128 pixels have 20,000.
 _MOST = {"directories": 64, "entries": 1 << 12, "values": 1 << 17}
-_LONGEST_NOTE = 1 << 20  # bytes of a maker's own tags: the first Nikons' have some hundred
 _MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: those of cameras have up to 8
 _MOST_MASKED = 8  # areas of masked pixels: those of cameras have up to 4
 # How many numbers these tags of a mosaic hold: readers take them apart.
@@ -292,27 +290,6 @@ class TiffReader:
         """Read the directory at a place of the file; an empty one at 0."""
         return self._read(at)[0] if at else Directory({})
 
-    def read_nikon_iso(self, exif: Directory) -> int:
-        """Read the ISO of a Nikon's own tags, where the first of them have it alone; 0 if they have none.
-
-        They stand in a TIFF file of their own behind ten bytes, or in the first ones without any (ExifTool's Nikon.pm).
-        """
-        place, _ = exif.entries.get(MAKER_NOTE, (0, 0))
-        if not place:
-            return 0
-        self._file.seek(place + 4)
-        length, at = struct.unpack(self._order + "II", self._file.read(8))
-        self._require(at + length)
-        note = self._read_at(at, min(length, _LONGEST_NOTE))
-        if note[:7] == b"Nikon\0\2":
-            own = TiffReader(self._path, io.BytesIO(note[10:]))
-            directory = own._read(own._first, {_NIKON_ISO})[0]
-        elif note.startswith(b"Nikon"):  # of another kind, which has it in words
-            return 0
-        else:
-            directory = self._read(at, {_NIKON_ISO})[0]
-        return int((0, *directory.values.get(_NIKON_ISO, ()))[-1])
-
     def _require(self, end: int) -> None:
         require(self._path, self._size, end)
 
@@ -323,7 +300,7 @@ class TiffReader:
                 self._path, f"damaged, or made to keep a reader busy: its directories declare far too many {what}"
             )
 
-    def _read(self, at: int, tags: set[int] = _READ) -> tuple[Directory, int]:
+    def _read(self, at: int) -> tuple[Directory, int]:
         """Read the directory at a place, and where the next one is."""
         if at < 0:
             raise RawFileError(self._path, f"damaged: it declares a directory at byte {at}")
@@ -345,7 +322,7 @@ class TiffReader:
             length = _SIZES.get(kind, 1) * number
             if length > 4:
                 starts.append(offset)
-            if tag not in tags:
+            if tag not in _READ:
                 continue
             if length > 4:
                 self._require(offset + length - (kind == ASCII))  # some writers leave out a text's last zero

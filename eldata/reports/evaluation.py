@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
     from eldata.manifest.catalogue import FrameFiles
+    from eldata.metrics.registry import Kind
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip
-    from eldata.protocols.kinds import Kind
     from eldata.reports.html import Plot
     from eldata.reports.pictures import DrawnImage
 

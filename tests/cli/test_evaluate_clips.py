@@ -16,7 +16,7 @@ from eldata.datasets.published import DRVDataset
 from eldata.evaluation import evaluate, load_result, save_clip_prediction
 from eldata.manifest.layouts import scan_raw
 from eldata.manifest.table import save_records
-from eldata.protocols.kinds import CLIPS
+from eldata.metrics.registry import CLIPS
 from tests.drv_tree import SmallDrv, generator_of, small_drv, still_of, write_raw_clip
 from tests.reports.evaluations import result_data, written
 from tests.reports.pages import assert_well_formed, checked

@@ -22,7 +22,7 @@ from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch, suspicions_of
 from eldata.evaluation.mistakes import Circumstances
-from eldata.isp.preview import preview
+from eldata.isp.rendering import preview
 from eldata.metrics.image_score import score_by
 from eldata.protocols.named import PROTOCOLS
 from eldata.raw.levels import XTRANS_CFA, Clip, pack, pack_normalised, unpack, with_levels

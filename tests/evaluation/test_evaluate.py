@@ -21,8 +21,8 @@ from eldata.evaluation import EvaluationResult, evaluate, evaluate_methods, scor
 from eldata.evaluation.results import saved_result
 from eldata.evaluation.scores import UnitScore
 from eldata.manifest.card import load_card, save_card
+from eldata.metrics.registry import IMAGES
 from eldata.protocols import PROTOCOLS
-from eldata.protocols.kinds import IMAGES
 from tests.evaluation import oracle
 from tests.evaluation.helpers import Tree, place
 

@@ -17,8 +17,8 @@ from eldata.evaluation import EvaluationResult, evaluate, save_prediction
 from eldata.manifest.card import save_card
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.table import save_records
+from eldata.metrics.registry import IMAGES
 from eldata.protocols import PROTOCOLS
-from eldata.protocols.kinds import IMAGES
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
 from tests.evaluation import oracle, published_code

@@ -21,8 +21,8 @@ from eldata.evaluation.request import make_request
 from eldata.manifest.card import Subset, save_card
 from eldata.manifest.catalogue import load_manifest, shipped_manifest
 from eldata.manifest.table import save_records
+from eldata.metrics.registry import IMAGES
 from eldata.protocols import PROTOCOLS
-from eldata.protocols.kinds import IMAGES
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from tests.drv_tree import small_drv
@@ -324,7 +324,7 @@ def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Pa
     drv = small_drv(tmp_path / "drv", ("0007",), 12)
     broken = replace(PROTOCOLS["eld"], name="broken"), replace(PROTOCOLS["drv-rgb"], name="broken")
     for protocol in broken:
-        object.__setattr__(protocol, "data_range", "1")  # as a mistake of ours might, past all checks
+        object.__setattr__(protocol, "region", 1)  # as a mistake of ours might, past all checks
     images = make_request(preds, "", None, manifest=own.manifest, root=own.root, allow_missing=True)
     clips = make_request(None, "", None, manifest=drv.csv, root=drv.root, ids=["0007"], baseline="input")
     for request, protocol, unit in zip((images, clips), broken, ("s0/clean.dng", "long/0007/"), strict=True):

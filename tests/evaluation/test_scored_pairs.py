@@ -11,8 +11,8 @@ import pytest
 from eldata.errors import ArgumentError, EldataError, PredictionError
 from eldata.evaluation import evaluate, save_clip_prediction, save_prediction, scored_pairs
 from eldata.metrics import psnr, ssim
+from eldata.metrics.registry import IMAGES
 from eldata.protocols import PROTOCOLS
-from eldata.protocols.kinds import IMAGES
 from eldata.records import PairRecord
 from tests.drv_tree import rgb_frame_of, small_drv, still_of
 from tests.evaluation.own_set import OwnSet, build_own_set, predict

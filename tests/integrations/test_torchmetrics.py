@@ -20,8 +20,8 @@ from eldata import metrics
 from eldata.errors import ArgumentError
 from eldata.evaluation import evaluate
 from eldata.metrics.image_score import factor_by, score_by
+from eldata.metrics.registry import IMAGES
 from eldata.protocols import PROTOCOLS
-from eldata.protocols.kinds import IMAGES
 from tests.evaluation import oracle
 from tests.evaluation.helpers import Tree, place
 

@@ -10,8 +10,7 @@ import rawpy
 import torch
 from skimage.color import deltaE_ciede2000, rgb2lab, rgb2xyz
 
-from eldata.isp.preview import srgb_encode
-from eldata.isp.rendering import Gamma, Rendering
+from eldata.isp.rendering import Gamma, Rendering, srgb_encode
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import packed_area, packed_frame
 from eldata.raw.reading import read_raw
@@ -131,7 +130,7 @@ def test_the_chart(mosaic_of: str, model: str, tmp_path: Path) -> None:
         # little where black levels differ, 0.03 % of a channel, at most 0.02 in delta E as above. It rounds to 16 bits
         # after white balance and after the matrix: 1 of 2200 in the darkest patch, below 0.01.
         difference = delta_e(our_patches, their_patches)
-        print(f"{response.describe()}: from LibRaw: mean {difference.mean():.4f}, largest {difference.max():.4f}")
+        print(f"{response}: from LibRaw: mean {difference.mean():.4f}, largest {difference.max():.4f}")
         assert difference.mean() < 0.015
         assert difference.max() < 0.03
 

@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from eldata.errors import ArgumentError
-from eldata.isp.steps import (
+from eldata.isp.rendering import (
     bin_colours,
-    colour_matrix,
     gamma_curve,
     round_to_8_bits,
     truncate_to_8_bits,
@@ -54,44 +53,11 @@ def test_binning_averages_the_channels_of_a_colour(channels: int, leading: tuple
     np.testing.assert_allclose(bin_colours(packed).numpy(), expected, rtol=1e-14)
 
 
-@pytest.mark.parametrize("leading", LEADING)
-def test_colour_matrix(leading: tuple[int, ...]) -> None:
-    rgb = packed_data(4, leading)[..., :3, :, :]
-    pixels = np.moveaxis(rgb.numpy(), -3, -1) @ MATRIX.numpy().T
-    np.testing.assert_allclose(colour_matrix(rgb, MATRIX).numpy(), np.moveaxis(pixels, -1, -3), rtol=1e-13, atol=1e-15)
-
-
-def test_a_batch_may_have_numbers_of_its_own() -> None:
-    packed = packed_data(4, (2, 3))
-    multipliers = torch.stack([MULTIPLIERS, MULTIPLIERS.flip(0)])
-    matrices = torch.stack([MATRIX, torch.eye(3, dtype=torch.float64)])
-    balanced, coloured = white_balance(packed, multipliers), colour_matrix(packed[..., :3, :, :], matrices)
-    for item in range(2):
-        torch.testing.assert_close(balanced[item], white_balance(packed[item], multipliers[item]))
-        torch.testing.assert_close(coloured[item], colour_matrix(packed[item, :, :3], matrices[item]))
-
-
-@pytest.mark.parametrize("exponent", [1.8, 2.2])
-def test_gamma_curve(exponent: float) -> None:
-    linear = torch.linspace(0, 1, 1001, dtype=torch.float64)
-    expected = np.maximum(linear.numpy(), 1e-8) ** (1 / exponent)
-    np.testing.assert_allclose(gamma_curve(linear, exponent).numpy(), expected, rtol=1e-14)
-
-
 def test_the_slope_of_gamma_at_black_is_finite() -> None:
     linear = torch.tensor([0.0, -1.0, 1e-9, 1e-8, 0.5], dtype=torch.float64, requires_grad=True)
     (gradient,) = torch.autograd.grad(gamma_curve(linear).sum(), linear)
     assert gradient.isfinite().all()
     assert gradient[:3].tolist() == [0, 0, 0]
-
-
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32, torch.float64])
-def test_dtype_and_device_stay(dtype: torch.dtype) -> None:
-    packed = packed_data(4).to(dtype)
-    for result in (white_balance(packed, MULTIPLIERS), bin_colours(packed), gamma_curve(packed)):
-        assert (result.dtype, result.device) == (dtype, packed.device)
-    # "meta" is a device without values: a constant left on the CPU would be refused.
-    assert colour_matrix(bin_colours(white_balance(packed.to("meta"), MULTIPLIERS)), MATRIX).device.type == "meta"
 
 
 # --- 8 bits -------------------------------------------------------------------------------------------------------
@@ -137,16 +103,3 @@ def test_what_is_not_packed_is_refused(shape: tuple[int, ...]) -> None:
 def test_integers_are_refused() -> None:
     with pytest.raises(ArgumentError, match="floating-point"):
         bin_colours(torch.zeros(4, 5, 6, dtype=torch.int32))
-
-
-@pytest.mark.parametrize("shape", [(3,), (3, 4), (1, 2, 4)])
-def test_other_numbers_of_multipliers_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ArgumentError, match="multipliers must have shape"):
-        white_balance(torch.zeros(2, 4, 5, 6), torch.ones(shape))
-
-
-def test_other_matrices_are_refused() -> None:
-    with pytest.raises(ArgumentError, match="colour matrix must have shape"):
-        colour_matrix(torch.zeros(3, 5, 6), torch.ones(3, 4))
-    with pytest.raises(ArgumentError, match=r"\(\.\.\., 3, h, w\)"):
-        colour_matrix(torch.zeros(4, 5, 6), torch.ones(3, 3))

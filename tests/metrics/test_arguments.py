@@ -103,12 +103,6 @@ def test_a_reference_on_another_scale_is_refused(metric: Metric) -> None:
     assert metric(p, 1.9 * g) is not None
 
 
-def test_the_range_of_another_scale_is_given() -> None:
-    p, g = images(2, 42, 43)
-    assert metrics.psnr(255 * p, 255 * g, data_range=255) == pytest.approx(metrics.psnr(p, g), abs=1e-4)
-    assert metrics.ssim(255 * p, 255 * g, data_range=255) == pytest.approx(metrics.ssim(p, g), abs=1e-5)
-
-
 @pytest.mark.parametrize("metric", METRICS)
 @pytest.mark.parametrize("shape", [(4, 611, 331), (3, 260, 257)])
 def test_threads_do_not_change_a_bit(metric: Metric, shape: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,15 +142,6 @@ def test_nan_gives_nan(metric: Metric, where: str) -> None:
 
 
 @pytest.mark.parametrize("metric", METRICS)
-@pytest.mark.parametrize("value", [np.inf, -np.inf])
-def test_infinity_does_not_crash(metric: Metric, value: float) -> None:
-    p, g = images(2, 30, 31)
-    g[0, 0, 0] = value
-    metric(p, g)
-    metric(g, p)
-
-
-@pytest.mark.parametrize("metric", METRICS)
 def test_refusals(metric: Metric) -> None:
     p, g = images(2, 30, 31)
     with pytest.raises(ArgumentError, match=r"\(2, 30, 31\) against \(2, 31, 30\)"):
@@ -186,21 +171,16 @@ def test_bad_data_range(metric: Metric, data_range: float) -> None:
 
 
 @pytest.mark.parametrize("metric", METRICS)
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int64])
-def test_integers_are_refused_with_the_remedy(metric: Metric, dtype: npt.DTypeLike) -> None:
-    whole = np.ones((2, 30, 31), dtype)
-    g = np.ones(whole.shape, np.float32)
-    with pytest.raises(ArgumentError, match=r"the prediction holds integers.*\[0, 1\].*65535"):
-        metric(whole, g)
-    with pytest.raises(ArgumentError, match=r"the reference holds integers"):
-        metric(torch.from_numpy(g), torch.from_numpy(whole))
-
-
-@pytest.mark.parametrize("metric", METRICS)
-@pytest.mark.parametrize("dtype", [bool, np.complex64, np.longdouble, object])
-def test_other_types_are_refused(metric: Metric, dtype: npt.DTypeLike) -> None:
+@pytest.mark.parametrize(
+    ("dtype", "words"),
+    [
+        *((dtype, r"the prediction holds integers.*\[0, 1\].*65535") for dtype in (np.uint8, np.uint16, np.int64)),
+        *((dtype, "must be float16, bfloat16, float32 or float64") for dtype in (bool, np.complex64, np.longdouble)),
+    ],
+)
+def test_other_types_are_refused(metric: Metric, dtype: npt.DTypeLike, words: str) -> None:
     g = np.ones((2, 30, 31), np.float32)
-    with pytest.raises(ArgumentError, match="must be float16, bfloat16, float32 or float64"):
+    with pytest.raises(ArgumentError, match=words):
         metric(g.astype(dtype), g)
 
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from eldata.errors import ArgumentError
-from eldata.metrics import PEAK_8_BIT, PEAK_ELD, psnr, raw_to_grey, st_rred
+from eldata.metrics import PEAK_8_BIT, PEAK_ELD, raw_to_grey, st_rred
 from eldata.metrics.st_rred import StRred, coarse_band
 from tests.metrics.golden.st_rred_clips import (
     BAND_IMAGE,
@@ -20,7 +20,6 @@ from tests.metrics.golden.st_rred_clips import (
     Case,
     Clip,
     drop,
-    flicker,
     noise,
     packed,
     scene,
@@ -31,7 +30,6 @@ from tests.metrics.golden.st_rred_clips import (
 GOLDEN: dict[str, Any] = json.loads((Path(__file__).parent / "golden" / "st_rred.json").read_text(encoding="utf-8"))
 
 PAIRS = ("spatial_pairs", "temporal_pairs")
-SINGLE_PAIRS = ("spatial_single_pairs", "temporal_single_pairs")
 
 
 # Against others' implementations
@@ -50,10 +48,7 @@ def test_scores_are_those_of_scikit_video(case: Case) -> None:
     scores = st_rred(*case.make(), peak=case.peak)
     for field in PAIRS:
         np.testing.assert_allclose(getattr(scores, field), expected[field], rtol=1e-8)
-    for field in SINGLE_PAIRS:  # differences of nearly equal means: the error is that of the means
-        np.testing.assert_allclose(getattr(scores, field), expected[field], rtol=1e-8, atol=1e-8)
     assert scores.st_rred == pytest.approx(expected["st_rred"], rel=1e-8, abs=0)
-    assert scores.st_rred_single == pytest.approx(expected["st_rred_single"], rel=1e-6)
     # The package as it is rounds to float32, which small clips of few blocks feel.
     assert scores.st_rred == pytest.approx(expected["st_rred_float32"], rel=1e-2, abs=0)
 
@@ -68,26 +63,8 @@ def test_every_golden_case_is_used() -> None:
 @pytest.mark.parametrize("clip", [scene(4, 160, 176), still(4, 160, 176)], ids=["moving", "still"])
 def test_identical_clips_score_exactly_zero(clip: Clip) -> None:
     scores = st_rred(clip, clip.copy())
-    assert scores == StRred((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
-    assert scores.spatial == scores.temporal == scores.st_rred == scores.st_rred_single == 0
-
-
-def test_flicker_counts_though_psnr_hardly_sees_it() -> None:
-    clip = scene(6, 160, 176)
-    flickering = flicker(clip, 0.02)
-    steady = clip * 0.98
-    assert psnr(flickering, clip) > 39
-    assert psnr(flickering, clip) == pytest.approx(psnr(steady, clip), abs=0.2)
-    flickers, steadies = st_rred(flickering, clip), st_rred(steady, clip)
-    assert flickers.spatial == pytest.approx(steadies.spatial, rel=0.2)
-    assert flickers.temporal > 5 * steadies.temporal
-    assert flickers.st_rred > 5 * steadies.st_rred
-
-
-def test_flicker_of_a_still_scene() -> None:
-    clip = still(4, 160, 176)
-    assert st_rred(clip * 0.98, clip).temporal == 0
-    assert st_rred(flicker(clip, 0.001), clip).temporal > 1
+    assert scores == StRred((0.0, 0.0), (0.0, 0.0))
+    assert scores.spatial == scores.temporal == scores.st_rred == 0
 
 
 def test_frozen_second_frames_leave_the_product_at_zero() -> None:
@@ -101,17 +78,12 @@ def test_frozen_second_frames_leave_the_product_at_zero() -> None:
 # Invariances
 
 
-def test_order_of_the_clips_does_not_matter() -> None:
-    clip = scene(4, 64, 80)
-    assert st_rred(noise(clip, 0.1), clip) == st_rred(clip, noise(clip, 0.1))
-
-
 def test_pairs_are_independent() -> None:
     p, g = noise(scene(6, 64, 80), 0.1), scene(6, 64, 80)
     scores = st_rred(p, g)
     order = [4, 5, 0, 1, 2, 3]
     shuffled = st_rred(p[order], g[order])
-    for field in PAIRS + SINGLE_PAIRS:
+    for field in PAIRS:
         assert getattr(scores, field) == tuple(getattr(shuffled, field)[i] for i in (1, 2, 0))
     assert scores.spatial == np.mean(scores.spatial_pairs)
     assert scores.st_rred == scores.spatial * scores.temporal

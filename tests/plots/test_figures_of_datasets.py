@@ -12,7 +12,7 @@ from eldata import CalibrationFrames, DRVDataset, ELDDataset, PackedStore, Synth
 from eldata.datasets import Arrays
 from eldata.datasets.items import describe_sample
 from eldata.errors import EldataError
-from eldata.isp.preview import brightening, preview
+from eldata.isp.rendering import brightening, preview
 from eldata.plots.pictures import side_by_side
 from eldata.raw import read_raw
 from tests.calibration.trees import CAMERA, made_tree

@@ -84,30 +84,12 @@ def tail_of_data(data: bytearray, whole: Whole, generator: np.random.Generator) 
     data[whole.behind :] = rest
 
 
-def random_page(data: bytearray, whole: Whole, generator: np.random.Generator) -> None:
-    place = _place(whole, PAGE, generator)
-    data[place] = generator.bytes(place.stop - place.start)
-
-
-def copied_page(data: bytearray, whole: Whole, generator: np.random.Generator) -> None:
-    """A page of the same data in place of another."""
-    here, there = _place(whole, PAGE, generator), _place(whole, PAGE, generator)
-    data[here] = data[there]
-
-
-def flipped_bit(data: bytearray, whole: Whole, generator: np.random.Generator) -> None:
-    data[int(generator.integers(whole.first, whole.behind))] ^= 1 << int(generator.integers(8))
-
-
 HARMS: dict[str, Callable[[bytearray, Whole, np.random.Generator], None]] = {
     "hole of zeros": hole,
     "hole of one page": page_hole,
     "tail of zeros": tail,
     "tail of zeros, EXIF whole": tail_of_data,
     "hole of 0xFF": hole_of_ones,
-    "page of random bytes": random_page,
-    "page copied from elsewhere": copied_page,
-    "one bit flipped": flipped_bit,
 }
 
 

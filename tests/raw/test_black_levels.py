@@ -18,7 +18,6 @@ from tests.raw.helpers import (
     BAYER,
     Tag,
     active_area,
-    add_tags,
     black_levels,
     letters,
     random_mosaic,
@@ -66,13 +65,6 @@ def test_a_level_written_as_a_float_is_exact(kind: str, tmp_path: Path) -> None:
         read_raw(tmp_path / "a.dng")
 
 
-@pytest.mark.parametrize("tag", [BLACK, 50715, 50716])
-def test_a_level_of_no_numbers_is_none(tag: int, tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66))
-    add_tags(tmp_path / "a.dng", (tag, "I", 0, (), True))
-    assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (0,) * 4
-
-
 # --- what is refused -------------------------------------------------------------------------------------------
 
 
@@ -113,19 +105,3 @@ def test_a_level_for_each_channel_is_exact(name: str, margins: tuple[int, int], 
     assert [exact_fraction(level) for level in found.sensor.black_level_dn] == [expected[k] for k in range(4)]
     write_dng(tmp_path / "b.dng", found.mosaic, found.sensor, found.exposure)
     assert read_raw(tmp_path / "b.dng").sensor == found.sensor
-
-
-# --- masked pixels ------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("stated", "remarks"), [(64, 0), (63, 1), (0, 1)])
-def test_a_stated_level_that_the_masked_pixels_bear_out_is_not_remarked_on(
-    stated: int, remarks: int, tmp_path: Path
-) -> None:
-    mosaic = random_mosaic(64, 66)
-    mosaic[:, :2] = 64
-    tags = active_area(0, 2, 64, 66), masked((0, 0, 64, 2)), (BLACK, "I", 1, stated, True)
-    write_plain_dng(tmp_path / "a.dng", mosaic, ("RG", "GB"), *tags)
-    found = read_raw(tmp_path / "a.dng")
-    assert found.sensor.black_level_dn == (stated,) * 4
-    assert len(found.remarks) == remarks

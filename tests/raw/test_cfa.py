@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from eldata.errors import ArgumentError
 from eldata.raw import pack, packed_area, unpack
-from eldata.raw.levels import bayer_cfa, cfa_of_letters, packed_layouts, packing_sites
+from eldata.raw.levels import bayer_cfa, packed_layouts, packing_sites
 from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
@@ -151,14 +151,6 @@ def test_the_number_of_channels_tells_the_kinds_apart() -> None:
     assert packing_sites(QUAD["quad-13"]).names[:6] == ("R.00", "R.01", "R.10", "R.11", "G1.00", "G1.01")
 
 
-@pytest.mark.parametrize(
-    "rows",
-    [(), ("RG",), ("RG", "GR"), ("RG", "BG"), ("RW", "GB"), ("RGRG", "GBGB") * 2, ("RRGG", "GGBB") * 2, ("RGB",) * 3],
-)
-def test_letters_of_other_patterns(rows: tuple[str, ...]) -> None:
-    assert cfa_of_letters(rows) is None
-
-
 def test_bayer_by_name_and_in_blocks() -> None:
     assert {first: bayer_cfa(first) for first in BAYER} == BAYER
     assert bayer_cfa(block=2) == QUAD["quad-00"]
@@ -169,14 +161,6 @@ def test_bayer_by_name_and_in_blocks() -> None:
             bayer_cfa(*arguments)
     with pytest.raises(ArgumentError, match=r"block must be 1 \(Bayer\), 2 \(quad-Bayer\) or 3 .*found 4"):
         bayer_cfa("RGGB", 4)
-
-
-def test_the_cfa_may_be_an_array_or_lists() -> None:
-    mosaic = random_mosaic(24, 24)
-    for cfa in (BAYER["BGGR"], XTRANS["xtrans-13"], QUAD["quad-01"], NONA["nona-55"]):
-        expected = pack(mosaic, cfa)
-        np.testing.assert_array_equal(pack(mosaic, np.array(cfa, np.uint8)), expected)
-        np.testing.assert_array_equal(pack(mosaic, [list(row) for row in cfa]), expected)
 
 
 @in_one_test("name", CFAS)

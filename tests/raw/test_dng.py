@@ -74,12 +74,6 @@ def test_pixel_values(content: str, compression: Compression, tmp_path: Path) ->
     check_round_trip(tmp_path / "a.dng", mosaic, sensor, compression=compression)
 
 
-def test_a_mosaic_that_is_a_view(tmp_path: Path) -> None:
-    for compression in COMPRESSIONS:
-        mosaic = random_mosaic(100, 120)[::2, ::-2]
-        check_round_trip(tmp_path / "a.dng", mosaic, make_sensor(height=50, width=60), compression=compression)
-
-
 @pytest.mark.parametrize(
     "exposure",
     [

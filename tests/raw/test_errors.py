@@ -67,12 +67,6 @@ def test_a_missing_file(tmp_path: Path) -> None:
     refused(tmp_path / "b.ARW", "cannot be read: No such file or directory")
 
 
-@pytest.mark.parametrize("name", ["a.dng", "a.RAF", "a.CR2"])
-def test_an_empty_file(name: str, tmp_path: Path) -> None:
-    (tmp_path / name).touch()
-    refused(tmp_path / name, "is empty")
-
-
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF"])
 def test_an_ordinary_image_named_as_a_raw_file(kind: str, tmp_path: Path) -> None:
     pixels = (random_mosaic(64, 3 * 64) >> 8).astype(np.uint8).reshape(64, 64, 3)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 import json
-import pickle
 from dataclasses import fields
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -30,7 +28,6 @@ from tests.raw.helpers import (
     EXPOSURE,
     letters,
     levels_of,
-    make_sensor,
     random_mosaic,
     write_plain_dng,
 )
@@ -98,11 +95,6 @@ def test_it_is_a_float_for_whoever_computes_with_it() -> None:
             np.testing.assert_array_equal(ours, plain, strict=True)
 
 
-def test_copies_know_their_fraction() -> None:
-    for other in (copy.copy(THIRD), copy.deepcopy(THIRD), pickle.loads(pickle.dumps(THIRD))):
-        assert other.fraction == Fraction(1, 3)
-
-
 @given(st.fractions(min_value=-(10**12), max_value=10**12))
 def test_a_fraction_comes_back_from_its_number(fraction: Fraction) -> None:
     number = exact_number(fraction)
@@ -166,17 +158,6 @@ def test_what_a_foreign_dng_states_comes_back_to_the_last_digit(
     again = read_raw(tmp_path / "ours.dng")
     assert stated(again.sensor) == found
     np.testing.assert_array_equal(again.mosaic, frame.mosaic)
-
-
-def test_libraw_gives_both_greens_the_first(tmp_path: Path) -> None:
-    for second in (1.0, 1.25):
-        sensor = make_sensor(BAYER["GRBG"], 24, 30, white_balance=(2.1, 1.0, 1.6, second))
-        write_dng(tmp_path / "a.dng", random_mosaic(24, 30), sensor, EXPOSURE)
-        with rawpy.imread(str(tmp_path / "a.dng")) as raw:
-            assert raw.camera_whitebalance[:3] == pytest.approx([2.1, 1.0, 1.6])
-
-
-# --- black levels -------------------------------------------------------------------------------------------
 
 
 # --- two matrices -------------------------------------------------------------------------------------------

@@ -67,13 +67,6 @@ def test_more_entries_than_any_camera_writes(tmp_path: Path) -> None:
     refused(path, "far too many entries")
 
 
-def test_more_directories_than_any_camera_writes(tmp_path: Path) -> None:
-    path = tmp_path / "a.dng"
-    chain = [directory(following=8 + 6 * (number + 1)) for number in range(100)]
-    path.write_bytes(b"II*\0" + struct.pack("<I", 8) + b"".join(chain) + directory())
-    refused(path, "far too many directories")
-
-
 @pytest.mark.parametrize("tag", [271, 272, 36867])
 def test_a_text_of_many_megabytes_that_entries_share(tag: int, tmp_path: Path) -> None:
     path, length = tmp_path / "a.dng", 1 << 22
@@ -159,6 +152,3 @@ def test_memory_that_there_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     write_plain_dng(path, random_mosaic(64, 66))
     monkeypatch.setattr("eldata.raw.reading.read_container", starve)
     refused(path, "needs more memory than there is; is the file whole, and what it says it is?")
-
-
-# --- what is no file --------------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from eldata.raw import normalise, pack, pack_normalised
 from eldata.raw.levels import (
     FRAME_LEVELS,
     FrameLevels,
-    packed_black_level_dn,
     packed_frame,
     with_levels,
 )
@@ -28,7 +27,6 @@ from tests.raw.helpers import (
     make_sensor,
     random_mosaic,
     reference_pack,
-    xtrans_at,
 )
 
 if TYPE_CHECKING:
@@ -99,12 +97,6 @@ def test_normalise_after_pack_is_pack_normalised(name: str, clip: Clip) -> None:
     assert same_bits(apart, pack_normalised(mosaic, cfa, black_of(cfa), 15871.0, clip=clip))
 
 
-def test_black_levels_of_the_packed_channels() -> None:
-    assert packed_black_level_dn(BAYER["GBRG"], (1, 2, 3, 4)).tolist() == [1, 2, 3, 4]
-    assert packed_black_level_dn(xtrans_at(2, 5), (1, 2, 3)).tolist() == [1, 2, 3, 1, 3, 2, 2, 2, 2]
-    assert packed_black_level_dn(CFAS["quad-10"], (1, 2, 3, 4)).tolist() == [1] * 4 + [2] * 4 + [3] * 4 + [4] * 4
-
-
 @pytest.mark.parametrize(("name", "count"), [("RGGB", 1), ("RGGB", 3), ("RGGB", 5), ("xtrans-00", 4), ("quad-00", 16)])
 def test_as_many_black_levels_as_the_cfa_has_channels(name: str, count: int) -> None:
     cfa, mosaic = CFAS[name], random_mosaic(24, 24)
@@ -145,14 +137,6 @@ def test_a_gain_is_finite_and_not_negative(gain: float) -> None:
 def test_a_mosaic_in_dn_is_uint16(dtype: str) -> None:
     with pytest.raises(ArgumentError, match="uint16"):
         pack_normalised(np.zeros((8, 8), dtype), BAYER["RGGB"], BAYER_BLACK, 16000.0)
-
-
-def test_an_unknown_clip_is_named() -> None:
-    clip: Any = "lower"
-    with pytest.raises(ArgumentError, match="'lower'"):
-        pack_normalised(random_mosaic(8, 8), BAYER["RGGB"], BAYER_BLACK, 16000.0, clip=clip)
-    with pytest.raises(ArgumentError, match="'lower'"):
-        normalise(np.zeros((4, 4, 4)), BAYER["RGGB"], BAYER_BLACK, 16000.0, clip=clip)
 
 
 def test_an_unfit_out_is_refused() -> None:

@@ -108,16 +108,6 @@ EXPOSURE_IN_IFD0: tuple[Tag, ...] = (
 )
 
 
-def test_iso_and_exposure_in_ifd0_alone(tmp_path: Path) -> None:
-    path = tmp_path / "a.dng"
-    write_plain_dng(path, random_mosaic(64, 66), ("RG", "GB"), *EXPOSURE_IN_IFD0)
-    with rawpy.imread(str(path)) as raw:
-        assert raw.other.iso_speed == 0  # LibRaw does not find it there
-    expected = Exposure(Fraction(400), Fraction(1, 25), Fraction(28, 10))
-    assert read_raw(path).exposure == expected
-    assert read_header(path).exposure == expected
-
-
 @pytest.mark.parametrize("field", ["ISO", "exposure time"])
 def test_a_missing_field_is_none_and_the_ratio_names_field_and_file(field: str, tmp_path: Path) -> None:
     whole, poor = tmp_path / "whole.dng", tmp_path / "poor.dng"

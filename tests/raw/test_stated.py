@@ -189,27 +189,6 @@ def test_reading_a_header_decodes_no_pixels(tmp_path: Path, monkeypatch: pytest.
     assert read_header(CR3).model == "Canon EOS R6"
 
 
-@pytest.mark.parametrize(
-    ("note", "iso"),
-    [
-        (struct.pack("<HHHIHHI", 1, 2, 3, 2, 0, 200, 0), 200),  # of the first kind: a directory of the ISO alone
-        (b"Nikon\0\2\x10\0\0MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 2, 3, 2, 0, 200, 0), 200),
-        (b"Nikon\0\1\0" + bytes(20), None),
-    ],
-)
-def test_the_first_nikons_state_their_iso_in_their_own_tags(note: bytes, iso: int | None, tmp_path: Path) -> None:
-    """A D1's NEF (bep/imagemeta, testdata/images/sample.nef) has it there alone, as "0, 200"."""
-    make, note_at = b"NIKON CORPORATION\0", 100
-    first = struct.pack("<HHHIIHHIII", 2, 271, 2, len(make), 60, 34665, 4, 1, 80, 0)
-    exif = struct.pack("<HHHIII", 1, 37500, 7, len(note), note_at, 0)
-    data = (b"II*\0" + struct.pack("<I", 8) + first).ljust(60, b"\0") + make
-    path = tmp_path / "a.NEF"
-    path.write_bytes((data.ljust(80, b"\0") + exif).ljust(note_at, b"\0") + note)
-    assert stated(path).exposure.iso == iso
-    path.write_bytes(path.read_bytes().replace(b"NIKON", b"NOKIN"))  # of no other maker are such tags read
-    assert stated(path).exposure.iso is None
-
-
 @pytest.mark.parametrize("text", ["0000:00:00 00:00:00", "    :  :     :  :  ", "2026-11-21 10:00:00"])
 def test_a_clock_that_was_never_set_is_unknown(text: str, tmp_path: Path) -> None:
     write_plain_dng(tmp_path / "a.dng", random_mosaic(60, 64), ("RG", "GB"), (36867, "s", 0, text, True))

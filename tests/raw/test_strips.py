@@ -65,13 +65,6 @@ def test_rows_are_found_wherever_they_stand(bits: int, order: str, options: dict
     np.testing.assert_array_equal(render_libraw(path), rendering)
 
 
-def test_strips_in_order_that_do_not_touch(tmp_path: Path) -> None:
-    """LibRaw decodes the bytes between them, without a word."""
-    mosaic = written(tmp_path / "a.dng", rowsperstrip=13)
-    move_blocks(tmp_path / "a.dng", gap=2, order=range(5))
-    np.testing.assert_array_equal(read_raw(tmp_path / "a.dng").mosaic, mosaic)
-
-
 @pytest.mark.parametrize("rows", [5, 13], ids=["RowsPerStrip of another number of strips", "as it is"])
 def test_strips_beside_tags_of_tiles(rows: int, tmp_path: Path) -> None:
     """PiDNG writes them."""

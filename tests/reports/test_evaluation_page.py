@@ -18,9 +18,9 @@ from eldata.evaluation.comparison import compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import worst_and_best, worst_and_best_images
 from eldata.evaluation.results import saved_result
-from eldata.isp.preview import brightening, preview
+from eldata.isp.rendering import brightening, preview
 from eldata.plots.axes import drawable
-from eldata.protocols.digests import fields_digest
+from eldata.protocols.protocol import fields_digest
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
 from eldata.reports import pictures

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import platform
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from eldata import __version__
 from eldata.errors import EldataError
 from eldata.evaluation.diagnosis import suspicions_of
-from eldata.evaluation.layouts import Expected, FoundPredictions, dataset_itself, find_predictions, misplaced
-from eldata.evaluation.predictions import describe_other_look
+from eldata.evaluation.layouts import FoundPredictions, find_predictions
 from eldata.evaluation.request import (
     SETTINGS,
     Request,
@@ -27,7 +27,6 @@ from eldata.evaluation.score import compared_images, score_predictions
 from eldata.evaluation.scores import EvaluationProblem
 from eldata.evaluation.tasks import task_note
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.protocols.kinds import IMAGES
 from eldata.protocols.protocol import CHOICES, ONE_CAMERAS_LEVELS
 from eldata.protocols.words import LEVELS
 from eldata.records import PairRecord
@@ -194,7 +193,7 @@ def scored_pairs(
         baseline=baseline, dark_shading=dark_shading,
     )  # fmt: skip
     plan = plan_scoring(request)
-    found = _found(request, plan)
+    found = _find_predictions(request, plan)
     if found.problems and not (allow_missing and found.files):
         more = f" (and {len(found.problems) - 1} more: eldata evaluate lists all)" if len(found.problems) > 1 else ""
         raise EldataError(f"{found.problems[0]}{more}")
@@ -225,7 +224,7 @@ def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
     plan = plan_scoring(first)
     with first.workers_for(plan.pairs).sharing() as workers:  # processes are started once, for checks and scores
         first = replace(first, workers=workers)
-        found = [_found(request, plan) for request in requests]
+        found = [_find_predictions(request, plan) for request in requests]
         files, of_whites = require_pairs(first, plan.pairs)
         predictions = [
             None if request.predictions is None else one.files if request.allow_missing or not one.problems else {}
@@ -252,35 +251,20 @@ def _result(
     return replace(result, notes=(*shading_notes(request), *notes))
 
 
-def _found(request: Request, plan: ScoringPlan) -> FoundPredictions:
-    """Return the predictions of what is scored; a baseline has none.
-
-    Of a folder in which nothing is where a prediction may be, or nothing is what the protocol takes, that is the one
-    problem.
-    """
-    folder = request.predictions
-    if folder is None:
+def _find_predictions(request: Request, plan: ScoringPlan) -> FoundPredictions:
+    """Find the predictions of what is scored; a baseline has none."""
+    if request.predictions is None:
         return FoundPredictions({}, (), 0)
-    known, elsewhere = known_places(request), places_elsewhere(request)
-    places = [pair.place(frame) for pair in plan.pairs for frame in pair.frames]
-    references: dict[str, str] = {}
-    for pair in plan.pairs:
-        if isinstance(pair, PairRecord):
-            references.setdefault(pair.reference, pair.path)
-    problem = dataset_itself(folder, request.folder, [row.path for row in request.manifest.records])
-    problem = problem or misplaced(folder, Expected(list(dict.fromkeys(places)), references, elsewhere), known)
-    if problem is not None:
-        return FoundPredictions({}, (problem,), 0)
-    found = find_predictions(
-        folder,
-        places,
-        known=known,
-        elsewhere=elsewhere,
+    return find_predictions(
+        request.predictions,
+        [pair.place(frame) for pair in plan.pairs for frame in pair.frames],
+        known_places(request),
+        references={pair.reference: pair.path for pair in reversed(plan.pairs) if isinstance(pair, PairRecord)},
+        elsewhere=partial(places_elsewhere, request),
+        dataset=(request.folder, [row.path for row in request.manifest.records]),
         allow_missing=request.allow_missing,
         because=_own_pairs(request.protocol.name, plan),
     )
-    reason = describe_other_look(request.protocol, found, request.manifest, folder) if request.kind is IMAGES else None
-    return found if reason is None else FoundPredictions({}, (EvaluationProblem(str(folder), reason),), 0)
 
 
 def _own_pairs(name: str, plan: ScoringPlan) -> str:

@@ -40,7 +40,6 @@ from eldata.protocols.digests import CHOOSING, OF_INPUT
 from eldata.protocols.kinds import CLIPS, IMAGES
 from eldata.protocols.protocol import NO_SHADING, StatedProtocol
 from eldata.protocols.words import comparability
-from eldata.records import PairRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -154,21 +153,6 @@ class EvaluationResult:
         return self.protocol.digest
 
     @property
-    def pairs(self) -> tuple[PairRecord, ...]:
-        """The pairs that were to be scored, of a set of images."""
-        return tuple(unit for unit in self.units if isinstance(unit, PairRecord))
-
-    @property
-    def images(self) -> tuple[UnitScore, ...]:
-        """The scores, of a set of images."""
-        return self.scores
-
-    @property
-    def videos(self) -> tuple[UnitScore, ...]:
-        """The scores, of a set of clips."""
-        return self.scores
-
-    @property
     def scored(self) -> int:
         """How many were scored."""
         return len(self.scores)
@@ -187,11 +171,6 @@ class EvaluationResult:
     def ssim(self) -> float:
         """SSIM, mean over all."""
         return self.whole.ssim
-
-    @property
-    def st_rred(self) -> float:
-        """ST-RRED of clips, mean over all; lower is better."""
-        return self.whole.st_rred
 
     @property
     def chosen(self) -> frozenset[str]:

@@ -48,7 +48,7 @@ def test_the_whole_path(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     assert set(results) == {"amplified", "dct", "network"}
     for result in results.values():
         assert not result.problems
-        assert len(result.images) == len(result.pairs) == 12
+        assert len(result.scores) == len(result.units) == 12
     assert len(list((folder / "data").rglob("*.dng"))) == 32
     assert (folder / "manifests" / "eld-demo.csv").is_file()
     assert not list(folder.rglob("*.part"))
@@ -91,7 +91,7 @@ def test_scores_on_disk(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     folder, results = demo
     for name, result in results.items():
         with (folder / f"{name}.csv").open(newline="") as file:
-            assert [float(row["psnr_db"]) for row in csv.DictReader(file)] == [one.psnr_db for one in result.images]
+            assert [float(row["psnr_db"]) for row in csv.DictReader(file)] == [one.psnr_db for one in result.scores]
         assert json.loads((folder / f"{name}.json").read_text()) == result.as_dict()
 
 
@@ -153,8 +153,8 @@ def test_running_again_over_an_earlier_demo(tmp_path: Path) -> None:
     first = run_demo(tmp_path, scenes=1)
     assert (tmp_path / "contact-sheet.png").is_file()
     names = sorted(tmp_path.rglob("*"))
-    assert all(len(result.images) == 24 for result in run_demo(tmp_path, scenes=2).values())
-    assert run_demo(tmp_path, scenes=1)["dct"].images == first["dct"].images
+    assert all(len(result.scores) == 24 for result in run_demo(tmp_path, scenes=2).values())
+    assert run_demo(tmp_path, scenes=1)["dct"].scores == first["dct"].scores
     assert sorted(tmp_path.rglob("*")) == names
 
 

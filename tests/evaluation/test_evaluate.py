@@ -71,8 +71,8 @@ def perfect(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> EvaluationR
 
 
 def test_equal_predictions_score_infinity(perfect: EvaluationResult) -> None:
-    assert all(image.psnr_db == math.inf for image in perfect.images)
-    assert all(image.ssim == 1.0 for image in perfect.images)
+    assert all(image.psnr_db == math.inf for image in perfect.scores)
+    assert all(image.ssim == 1.0 for image in perfect.scores)
     assert all(row.psnr_db == math.inf for row in perfect.table)
     assert "inf" in perfect.format_table()
     assert any(note.startswith("equal to their reference exactly: 12 predictions") for note in perfect.notes)
@@ -83,7 +83,7 @@ def test_all_dark_predictions_are_scored_as_black(value: float, protocol: str, t
     place(tmp_path, tree, lambda target, _: np.full_like(target, value))
     found = evaluate(tmp_path, protocol=protocol, **tree.where)
     references = {pair.path: pair.reference for pair in tree.pairs}
-    for image in found.images:
+    for image in found.scores:
         target = oracle.reference(tree.files / references[image.path])
         assert image.rescale == 1.0
         assert image.psnr_db == pytest.approx(10 * math.log10(1 / np.mean(target**2)), abs=1e-5)
@@ -99,8 +99,8 @@ def test_allow_missing_shows_its_coverage(
     found = evaluate(incomplete, **tree.where, allow_missing=True)
     assert not found.problems
     assert len(found.missing) == 5
-    kept = [image for image in result.images if image.path not in found.missing]
-    assert list(found.images) == kept
+    kept = [image for image in result.scores if image.path not in found.missing]
+    assert list(found.scores) == kept
 
     rows = {(row.camera, row.ratio): row for row in found.table}
     assert (rows["DemoAlpha", 100].scored, rows["DemoAlpha", 100].pairs) == (1, 3)
@@ -155,7 +155,7 @@ def test_reference_swapped_with_a_noisy_frame(own: Tree, predictions: Path) -> N
 def test_cameras(own: Tree, predictions: Path, result: EvaluationResult) -> None:
     shutil.rmtree(own.files / "DemoAlpha")  # a part of the dataset is enough for its own scores
     found = evaluate(predictions, **own.where, cameras=["DemoBeta"])
-    assert found.images == tuple(image for image in result.images if image.camera == "DemoBeta")
+    assert found.scores == tuple(image for image in result.scores if image.camera == "DemoBeta")
     assert found.provenance["cameras"] == ["DemoBeta"]
     assert "only DemoBeta" in found.format_text()
     assert [(row.camera, row.ratio) for row in found.table] == [("DemoBeta", 100), ("DemoBeta", 200), (None, None)]
@@ -227,8 +227,8 @@ def test_csv(result: EvaluationResult, tmp_path: Path) -> None:
         reader = csv.DictReader(file)
         rows = list(reader)
         assert list(reader.fieldnames or ()) == COLUMNS
-    assert [row["path"] for row in rows] == [image.path for image in result.images]
-    for row, image in zip(rows, result.images, strict=True):
+    assert [row["path"] for row in rows] == [image.path for image in result.scores]
+    for row, image in zip(rows, result.scores, strict=True):
         for column in ("iso", "ratio", "psnr_db", "ssim", "rescale"):
             assert float(row[column]) == getattr(image, column)
         assert (row["camera"], row["scene"]) == (image.camera, image.scene)
@@ -240,7 +240,7 @@ def test_json(result: EvaluationResult, tmp_path: Path) -> None:
     result.write_json(tmp_path / "scores.json")
     data = strict((tmp_path / "scores.json").read_text(encoding="utf-8"))
     assert set(data) == {"protocol", "provenance", "coverage", "images", "table", "problems", "notes"}
-    assert data["images"] == [image.as_dict(IMAGES) for image in result.images]
+    assert data["images"] == [image.as_dict(IMAGES) for image in result.scores]
     assert all(list(image) == COLUMNS for image in data["images"])
     assert data["table"] == [row.as_dict(IMAGES) for row in result.table]
     assert data["provenance"] == result.provenance

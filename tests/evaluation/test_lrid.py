@@ -48,7 +48,7 @@ def lrid(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("subset", COUNTS)
 def test_the_input_has_the_scores_of_the_published_arithmetic(subset: str, protocol: str, lrid: Path) -> None:
     result = evaluate(None, "lrid", root=lrid, baseline="input", subset=subset, protocol=protocol)
-    assert len(result.images) == COUNTS[subset]
+    assert len(result.scores) == COUNTS[subset]
     files = lrid / "LRID"
     assert_equal(result, lambda pair: BAYER[protocol].of_input(files / pair.path, files / pair.reference))
     assert any("black 64, white 1023 was taken for every file" in note for note in result.notes), "not the file's"
@@ -65,7 +65,7 @@ def test_predictions_have_the_scores_of_the_published_arithmetic(lrid: Path) -> 
         save_prediction(lrid / "preds", record.path, mosaics[record.path])
     result = evaluate(lrid / "preds", "lrid", root=lrid)
     assert result.protocol.name == "pmn-lrid"
-    assert len(result.images) == COUNTS["indoor-first"], "the first subset is that of --mode eval"
+    assert len(result.scores) == COUNTS["indoor-first"], "the first subset is that of --mode eval"
     assert_equal(result, lambda pair: ROUTE.of_prediction(mosaics[pair.path], files / pair.reference))
     assert not any("taken for every file" in note for note in result.notes), "the card's levels are those"
 

@@ -44,8 +44,8 @@ def test_evaluate(tree: Tree, executor: Executor, tmp_path: Path) -> None:
     place(tmp_path, tree)
     alone = evaluate(tmp_path, manifest=tree.manifest, root=tree.root)
     there = evaluate(tmp_path, manifest=tree.manifest, root=tree.root, workers=executor)
-    assert len(there.images) == 12
-    assert [astuple(image) for image in there.images] == [astuple(image) for image in alone.images]
+    assert len(there.scores) == 12
+    assert [astuple(image) for image in there.scores] == [astuple(image) for image in alone.scores]
     assert there.table == alone.table
 
 

@@ -1,7 +1,7 @@
 """Mistakes in predictions that references show: undone, they would raise the scores.
 
 A few frames of each camera and factor are looked at (:func:`chosen_frames`). On some blocks of each, the orders of
-channels, shifts, flips and curves that mistakes leave behind are tried (:func:`mistake_in`); what stands out there is
+channels, shifts and curves that mistakes leave behind are tried (:func:`mistake_in`); what stands out there is
 undone on the whole frame and scored as the protocol does. What most frames show alike is a suspicion
 (:func:`suspicions_of`).
 
@@ -140,7 +140,7 @@ def mistake_in(prediction: Array, target: Array, psnr_db: float, now: Circumstan
     if is_copied_input(p, inner, blocks, now):
         return Mistake("as if the noisy input, amplified, were copied")
     explanations: list[tuple[float, Mistake]] = []
-    for undoing in filter(None, (best_curve(p, g, now), best_place(prediction, blocks, p, inner, now))):
+    for undoing in filter(None, (best_curve(p, g, now), best_place(p, inner, now))):
         words, undo, least_db = undoing
         if undo is None:
             explanations.append((GAIN_DB, Mistake(words)))

@@ -302,10 +302,6 @@ OF_BAYER: dict[str, tuple[Making, str]] = {
     "packed as if BGGR": (_reordered(2, 3, 0, 1), "as if packed B, G2, R, G1"),
     "packed as if GRBG": (_reordered(1, 0, 3, 2), "as if packed G1, R, G2, B"),
     "packed as if GBRG": (_reordered(3, 2, 1, 0), "as if packed G2, B, G1, R"),
-    "mosaic flipped left to right": (
-        _in_mosaic(lambda mosaic: mosaic[:, ::-1]),
-        "as if flipped left to right and packed G1, R, G2, B",
-    ),
 }
 OF_XTRANS: dict[str, tuple[Making, str]] = {
     "R and B exchanged": (
@@ -318,13 +314,6 @@ OF_PLACE: dict[str, tuple[Making, str]] = {
     "shifted by (0, -1)": (_shifted(0, -1), f"as if shifted by (0, -1) {_PIXELS}"),
     "shifted by (2, 1)": (_shifted(2, 1), f"as if shifted by (2, 1) {_PIXELS}"),
     "shifted by (-2, 2)": (_shifted(-2, 2), f"as if shifted by (-2, 2) {_PIXELS}"),
-    "flipped left to right": (_alone(lambda p: p[:, :, ::-1]), "as if flipped left to right"),
-    "flipped upside down": (_alone(lambda p: p[:, ::-1]), "as if flipped upside down"),
-    "turned by 180 degrees": (_alone(lambda p: p[:, ::-1, ::-1]), "as if turned by 180 degrees"),
-    "reshaped from (h, w, C)": (
-        _alone(lambda p: np.ascontiguousarray(p.transpose(1, 2, 0)).reshape(p.shape)),
-        "as if reshaped from (h, w, C), not transposed",
-    ),
 }
 OF_MOSAIC: dict[str, tuple[Making, str]] = {
     "mosaic shifted by (1, 0)": (

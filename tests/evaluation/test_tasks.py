@@ -181,7 +181,7 @@ def test_methods_are_compared_by_the_task_that_they_share(own: OwnSet, tmp_path:
     [
         (failing, rf"the task {HERE}:failing raised ValueError: no\\nedges \(test_tasks.py, line \d+\)"),
         (unknown, rf"the task {HERE}:unknown returned nan; expected a finite number"),
-        (worded, rf"the task {HERE}:worded returned str; expected a finite number"),
+        (worded, rf"the task {HERE}:worded returned '.*'; expected a finite number"),
     ],
 )
 def test_frames_without_a_value_are_named(task: Any, reason: str, own: OwnSet) -> None:
@@ -199,7 +199,6 @@ def test_frames_without_a_value_are_named(task: Any, reason: str, own: OwnSet) -
         ({"task": f"{HERE}:absent"}, f"{HERE}:absent: cannot be imported: AttributeError: "),
         ({"task": "matched"}, "'matched' names nothing in a module; expected package.module:name"),
         ({"task": f"{HERE}:HERE"}, "a task is a function of .*or a Task of one"),
-        ({"task": alone}, "alone cannot be called with .prediction, reference.: too many positional arguments"),
         ({"task": Task(worst_error, "packed"), "protocol": "sid2018"}, "wants packed raw images, which .*'sid2018'"),
         ({"task": lambda *_: 0.0, "workers": 2}, "cannot be sent to worker processes .*: define it at the top level"),
     ],

@@ -14,10 +14,9 @@ import pytest
 from eldata.base.arrays import rgb_frame
 from eldata.datasets.published import DRVDataset
 from eldata.evaluation import evaluate, load_result, save_clip_prediction
-from eldata.manifest.drv import scan_raw
 from eldata.manifest.table import save_records
 from eldata.protocols.kinds import CLIPS
-from tests.drv_tree import SmallDrv, generator_of, small_drv, still_of, write_raw_clip
+from tests.drv_tree import SmallDrv, generator_of, small_drv, still_of
 from tests.reports.evaluations import result_data, written
 from tests.reports.pages import assert_well_formed, checked
 
@@ -89,18 +88,6 @@ def test_the_noisy_input(eldata: Cli, drv: SmallDrv, tmp_path: Path) -> None:
     assert text == run(eldata, drv, tmp_path / "own", *CHOSEN)
     baseline = evaluate(None, manifest=drv.csv, root=drv.root, ids=["0007", "0013"], baseline="input")
     assert baseline.provenance["predictions"] == "none: the input itself"
-
-
-def test_the_noisy_input_of_raws(tmp_path: Path) -> None:
-    """It is what the dataset gives to a network: amplified by the files' exposure ratio, clipped before and after."""
-    write_raw_clip(tmp_path / "DRV", "0007", 12)
-    manifest = scan_raw(tmp_path / "DRV").save(tmp_path / "drv-raw.csv")
-    dataset = DRVDataset(tmp_path / "DRV", form="raw", split="test", frames="evaluation")
-    for index, record in enumerate(dataset.records):
-        save_clip_prediction(tmp_path / "own", record, dataset[index]["input"].numpy())
-    own = evaluate(tmp_path / "own", manifest=manifest.path, root=tmp_path, ids=["0007"])
-    baseline = evaluate(None, manifest=manifest.path, root=tmp_path, ids=["0007"], baseline="input")
-    assert baseline.scores == own.scores
 
 
 # --- which clips ------------------------------------------------------------------------------------------------------

@@ -102,26 +102,6 @@ def test_the_input_is_the_amplified_frame_in_its_own_colours(name: str, own: Own
     assert_equal(result, lambda pair: score_of(own, pair, given[pair.path]))
 
 
-# --- what does not go together ----------------------------------------------------------------------------------------
-
-
-def test_the_protocol_that_takes_them_is_named(own: OwnSet, tmp_path: Path) -> None:
-    sizes = {"raw": (4, 30, 42), "binned": (3, 30, 42), "whole": (3, *SIZE)}
-    for look, shape in sizes.items():
-        for scene in ("s0", "s1"):
-            for ratio in (50, 100):
-                save_prediction(tmp_path / look, f"{scene}/x{ratio}.dng", np.zeros(shape, np.float32))
-
-    def refused(look: str, protocol: str) -> str:
-        (problem,) = evaluate(tmp_path / look, **own.where, protocol=protocol).problems
-        return problem.reason.partition("; ")[2]
-
-    assert refused("binned", "eld") == "give protocol sid-raw2rgb or eld-raw2rgb"
-    assert refused("raw", "eld-raw2rgb") == "give protocol sid-srgb or eld-srgb"
-    assert refused("whole", "eld-rgb2rgb") == "give protocol sid2018"
-    assert refused("binned", "sid2018") == "give protocol sid-raw2rgb or eld-raw2rgb"
-
-
 # --- predicting -------------------------------------------------------------------------------------------------------
 
 

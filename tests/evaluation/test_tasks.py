@@ -5,10 +5,8 @@ from __future__ import annotations
 import csv
 import hashlib
 import math
-import multiprocessing
 import re
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,10 +58,6 @@ def unknown(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
 
 def worded(prediction: NDArray[Any], reference: NDArray[Any]) -> Any:
     return "good"
-
-
-def alone(prediction: NDArray[Any]) -> float:
-    return 0.0
 
 
 worst = Task(worst_error, higher_is_better=False, label="worst error")
@@ -149,12 +143,6 @@ def test_a_protocol_of_raw_values_is_rendered_for_a_task(own: OwnSet) -> None:
     first, second = (published_code.eld_rendered(array, file) for array in (rescaled, target))
     # One of 3780 values, a code of 255 off where it lies on the edge of two, moves the mean by 1.04e-6.
     assert image.values["task"] == pytest.approx(first.mean(dtype=float) - second.mean(dtype=float), abs=5e-6)
-
-
-def test_worker_processes_give_the_same(own: OwnSet) -> None:
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        found = scored(own, task=worst, workers=pool)
-    assert found.scores == scored(own, task=worst).scores
 
 
 def test_methods_are_compared_by_the_task_that_they_share(own: OwnSet, tmp_path: Path) -> None:

@@ -12,14 +12,11 @@ import numpy as np
 import pytest
 import rawpy
 
-from eldata.cli.main import main
 from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation import EvaluationResult, evaluate, save_clip_prediction
-from eldata.evaluation.comparison import compare
-from eldata.evaluation.looking import images_of
 from eldata.manifest.drv import scan_raw
-from eldata.metrics import PEAK_ELD, psnr, st_rred
+from eldata.metrics import PEAK_ELD, st_rred
 from eldata.raw.levels import unpack
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
 from tests.evaluation import published_code
@@ -229,25 +226,3 @@ def test_mistakes_in_clips_are_named(mistake: str, drv: SmallDrv, result: Evalua
             np.save(tmp_path / clip / f"{number:04d}.npy", change(predicted(clip, number)))
     (found,) = score(drv, tmp_path).suspicions
     assert (found.words, found.shown, found.looked) == (words, found.looked, found.looked)
-
-
-def test_pictures_of_clips_show_a_frame_of_each(
-    drv: SmallDrv, predictions: Path, result: EvaluationResult, own: Path, tmp_path: Path
-) -> None:
-    """The one with the first method's lowest PSNR, as both were scored on it."""
-    methods = {"first": result, "second": score(drv, own)}
-    for name, scores_of_method in methods.items():
-        scores_of_method.write_json(tmp_path / f"{name}.json")
-    files = [str(tmp_path / f"{name}.json") for name in methods]
-    arguments = ["--manifest", str(drv.csv), "--root", str(drv.root), "--jobs", "1"]
-    assert main(["compare", *files, *arguments, "--html", str(tmp_path / "page.html"), "--pictures"]) == 0
-    comparison = compare(methods)
-    assert len(list((tmp_path / "page-pictures").glob("*-reference.jpg"))) == len(comparison.images)
-    images = images_of(
-        list(methods.values()), comparison.images, dataset_folder=drv.data, predictions=[predictions, own]
-    )
-    for image, (scores, _) in zip(images, comparison.images, strict=True):
-        worst = min(frame.psnr_db for frame in scores.frames)
-        seen = image.decoded()
-        for values in seen.predictions:
-            assert psnr(values, seen.reference) == pytest.approx(worst, abs=1e-4)

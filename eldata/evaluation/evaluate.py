@@ -74,7 +74,7 @@ def evaluate(
     root
         The folder that holds the datasets. Default: ``$ELDATA_ROOT``, else ``./data``.
     manifest
-        A manifest's CSV file, in place of ``dataset``: your own set, or that of a copy's raw clips
+        A manifest's CSV file, instead of ``dataset``: of your own set, or of a copy's raw clips
         (:func:`eldata.manifest.drv.scan_raw`). Any protocol of images may score your own set, on the set's own pairs:
         those at the protocol's factors if it has every one of them, else all. Default: the shipped one.
     cameras
@@ -90,7 +90,7 @@ def evaluate(
     allow_missing
         Whether to score the rest if predictions are missing or unusable; the table shows the coverage. Default: False.
     baseline
-        ``"input"``, in place of ``predictions``: score the noisy input itself, amplified and clipped as the protocol
+        ``"input"``, instead of ``predictions``: score the noisy input itself, amplified and clipped as the protocol
         has it. Default: None.
     strict
         Whether predictions that show a mistake (:mod:`eldata.evaluation.diagnosis`) are a problem: then nothing has a
@@ -136,7 +136,7 @@ def evaluate(
         cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
         baseline=baseline, strict=strict, task=task, dark_shading=dark_shading, workers=workers,
     )  # fmt: skip
-    return perform(request)
+    return perform_each([request])[0]
 
 
 def scored_pairs(
@@ -201,24 +201,13 @@ def scored_pairs(
     return compared_images(request, files, plan.pairs, None if predictions is None else found.files)
 
 
-def perform(request: Request) -> EvaluationResult:
-    """Return the result of a request.
-
-    Raises
-    ------
-    EldataError, DatasetError, ManifestError, ArgumentError
-        Like :func:`evaluate`.
-    """
-    return perform_each([request])[0]
-
-
 def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
-    """Return what :func:`perform` does of each of these requests, which differ in their predictions alone, in one pass.
+    """Score several requests, which differ in their predictions alone, in one pass; return a result of each.
 
     Raises
     ------
     EldataError, DatasetError, ManifestError, ArgumentError
-        Like :func:`perform`; what is wrong with the predictions in one folder is a problem of its result alone.
+        Like :func:`evaluate`; what is wrong with the predictions in one folder is a problem of its result alone.
     """
     first = requests[0]
     plan = plan_scoring(first)
@@ -255,6 +244,9 @@ def _find_predictions(request: Request, plan: ScoringPlan) -> FoundPredictions:
     """Find the predictions of what is scored; a baseline has none."""
     if request.predictions is None:
         return FoundPredictions({}, (), 0)
+    set_aside, because = plan.facts.get("set_aside"), ""
+    if set_aside:
+        because = f", and {request.protocol.name} scores this set's own pairs, not its {', '.join(set_aside)}"
     return find_predictions(
         request.predictions,
         [pair.place(frame) for pair in plan.pairs for frame in pair.frames],
@@ -263,14 +255,8 @@ def _find_predictions(request: Request, plan: ScoringPlan) -> FoundPredictions:
         elsewhere=partial(places_elsewhere, request),
         dataset=(request.folder, [row.path for row in request.manifest.records]),
         allow_missing=request.allow_missing,
-        because=_own_pairs(request.protocol.name, plan),
+        because=because,
     )
-
-
-def _own_pairs(name: str, plan: ScoringPlan) -> str:
-    """Return why a set of the user's own may lack predictions of pairs that its protocol does not choose elsewhere."""
-    set_aside = plan.facts.get("set_aside")
-    return f", and {name} scores this set's own pairs, not its {', '.join(set_aside)}" if set_aside else ""
 
 
 # --- what stands beside a result's numbers ----------------------------------------------------------------------------
@@ -282,7 +268,7 @@ _USUAL_RESCALE = (1 / 3, 3.0)
 
 
 def shading_notes(request: Request) -> list[str]:
-    """Return what was done to the inputs, or is stated of them."""
+    """Describe the dark shading that was subtracted from the inputs, or is stated to be."""
     if request.dark_shading is None:
         return []
     shading = dark_shading_in(request.dark_shading)
@@ -301,7 +287,7 @@ def notes_of(
     result: EvaluationResult,
     outcomes: Sequence[PairOutcome],
 ) -> list[str]:
-    """Return what a reader of a result's table should know: of its pairs, its predictions, its levels and factors."""
+    """Return the notes for readers of a table: on its pairs, predictions, levels and factors."""
     notes, scores = [], result.scores
     if set_aside := plan.facts.get("set_aside"):
         factors = ", ".join(f"x{ratio:g}" for ratio in plan.facts["ratios"])
@@ -344,7 +330,7 @@ def notes_of(
 
 
 def _white_level_notes(outcomes: Sequence[PairOutcome]) -> list[str]:
-    """Return whose files saturate at another level than the protocol divides by, in one line with all numbers."""
+    """Name the cameras whose files saturate at another level than the protocol divides by, in one line."""
     found: dict[str, set[float]] = {}
     taken_dn = 0.0
     for one in outcomes:
@@ -364,7 +350,7 @@ def _white_level_notes(outcomes: Sequence[PairOutcome]) -> list[str]:
 
 
 def provenance_of(request: Request, plan: ScoringPlan, outcomes: Sequence[PairOutcome]) -> dict[str, Any]:
-    """Return what the numbers of a result depend on: versions, manifest, protocol's digest, choice of pairs."""
+    """Collect the facts that a result depends on: versions, manifest, the protocol's digest, the choice of pairs."""
     import rawpy
 
     manifest, cameras = request.manifest, request.cameras

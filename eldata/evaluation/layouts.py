@@ -41,7 +41,7 @@ def stem_of(path: str) -> str:
 
 
 def is_read(name: str) -> bool:
-    """Return whether a file's extension is one that predictions have."""
+    """Tell whether predictions may have a file's extension."""
     return Path(name).suffix.lower() in EXTENSIONS
 
 
@@ -84,7 +84,7 @@ def describe_layout(
 
 
 def _other_folder(folder: Path, names: Sequence[str], places: Collection[str]) -> str | None:
-    """Say which other folder has the expected layout: one below, several below, or one above this."""
+    """Name the folder with the expected layout: one below, several below, or one above this."""
     stems = {stem_of(place) for place in places}
     deepest = max(stem.count("/") + 1 for stem in stems)
     below = set()

@@ -291,7 +291,7 @@ class _Curve:
     remains: float = _REMAINS
 
     def is_scale_within(self, factor: float) -> bool:
-        """Return whether it is only a factor, and one nearer to 1 than this."""
+        """Tell whether the curve is only a factor, and nearer to 1 than this."""
         return self.scale is not None and 1 / factor < self.scale < factor
 
 
@@ -424,7 +424,7 @@ _SAME_ERRORS = 0.99
 
 
 def is_copied_input(p: NDArray[np.float32], g: NDArray[np.float32], blocks: Blocks, now: Circumstances) -> bool:
-    """Return whether a prediction is the noisy input, amplified: of whole DN, and with the errors of the input.
+    """Tell whether a prediction is the amplified noisy input: of whole DN, and with the input's errors.
 
     Parameters
     ----------
@@ -439,7 +439,7 @@ def is_copied_input(p: NDArray[np.float32], g: NDArray[np.float32], blocks: Bloc
 
 
 def _is_of_whole_dn(p: NDArray[np.float32], now: Circumstances) -> bool:
-    """Return whether values, divided by the factor, are whole DN; it spares reading the noisy file of most frames."""
+    """Tell whether values, divided by the factor, are whole DN; this spares reading most noisy files."""
     if now.sensor is None or now.ratio is None or now.ratio < _LEAST_RATIO:
         return False
     values = p[(p > 0) & (p < 1)][: 8 * _LEAST_VALUES].astype(np.float64)

@@ -278,7 +278,7 @@ def comparison_table(
 
 
 def _why_not(row: PublishedRow, mine: EvaluationResult) -> str | None:
-    """Say why a published number does not compare with a result; ``None`` if it does."""
+    """Explain why a published number does not compare with a result; ``None`` if it does."""
     if not row.protocols:
         return f"under no protocol that is known for certain: {row.note}"
     differences = [mine.scored_unlike(PROTOCOLS[name]) for name in row.protocols if name in PROTOCOLS]
@@ -345,7 +345,7 @@ def _tables_by_place(
 def _input_check(
     published: list[PublishedRow], reasons: dict[PublishedRow, str | None], mine: EvaluationResult
 ) -> list[str]:
-    """Return whether the noisy input's own scores are the published ones: a sentence per group, and what follows."""
+    """Compare the noisy input's own scores with the published ones: a sentence per group, and what follows."""
     published = [row for row in published if row.protocols]
     if not published:
         return [f"the noisy input: no published score of it on {mine.dataset} is known, so this checks nothing"]

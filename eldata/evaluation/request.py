@@ -104,7 +104,7 @@ class Request:
         return FrameFiles.of(self.folder, self.manifest.card, self.manifest.records)
 
     def workers_for(self, pairs: Collection[Pair]) -> Workers:
-        """Return who scores some pairs: this process, where it takes less time than starting others does."""
+        """Choose the workers that score some pairs: this process alone where starting others would take longer."""
         if self.workers.executor is not None or self.kind is not IMAGES or self.task is not None:
             return self.workers
         seconds = _PAIR_S * len(pairs)

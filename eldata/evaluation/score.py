@@ -205,7 +205,7 @@ def _plan_units(files: FrameFiles, pairs: Sequence[Pair], predictions: Sequence[
 
 
 def _is_whole(pair: Pair, predictions: Predictions) -> bool:
-    """Return whether each frame of a pair has its prediction."""
+    """Tell whether each frame of a pair has its prediction."""
     return predictions is None or all(pair.place(frame) in predictions for frame in pair.frames)
 
 
@@ -517,7 +517,7 @@ def _find_factor(how: Scoring, prediction: Image, target: Image) -> float:
 
 
 def _is_rendered(protocol: Protocol) -> bool:
-    """Return whether raw predictions are compared as renderings."""
+    """Tell whether raw predictions are compared as renderings."""
     return protocol.rendering == "eld-isp" and protocol.pixels == "packed"
 
 

@@ -178,7 +178,7 @@ class TableRow(Valued):
     values: dict[str, float]
 
     def holds(self, score: UnitScore) -> bool:
-        """Return whether a score is of this group."""
+        """Tell whether a score belongs to this group."""
         return self.camera in (None, score.camera) and self.ratio in (None, score.ratio)
 
     @property
@@ -324,5 +324,5 @@ def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
 
 
 def nothing_scored(problems: Sequence[EvaluationProblem]) -> str:
-    """Return that nothing was scored, in a line."""
+    """State in one line that nothing was scored."""
     return f"nothing was scored: {counted(len(problems), 'problem')}"

@@ -80,7 +80,7 @@ class Task:
 
     @classmethod
     def of(cls, given: Task | TaskFunction | str) -> Task:
-        """Return what the argument ``task`` means: a task, a function with the defaults, or the name of either.
+        """Resolve the argument ``task``: a task, a function with the defaults, or the name of either.
 
         Raises
         ------
@@ -151,7 +151,7 @@ class Task:
 
 
 def stated_figure(stated: Mapping[str, Any]) -> Figure:
-    """Return what is said of a task's values, by what a result's provenance states of it."""
+    """Describe a task's column by what a result's provenance states of the task."""
     return Figure(
         name="task",
         label=stated["label"],
@@ -165,7 +165,7 @@ def stated_figure(stated: Mapping[str, Any]) -> Figure:
 
 
 def task_note(task: Mapping[str, Any]) -> str:
-    """Return what a task's column holds."""
+    """Describe the values of a task's column in a line."""
     source = f" ({short_digest(task['source_sha256'])})" if task["source_sha256"] else ""
     images = {"compared": "what the protocol compares", "packed": "packed raw", "srgb": "renderings in sRGB"}
     better = "higher" if task["higher_is_better"] else "lower"

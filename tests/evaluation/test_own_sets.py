@@ -15,7 +15,7 @@ import pytest
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 from eldata.evaluation import evaluate, save_prediction
-from eldata.evaluation.evaluate import perform
+from eldata.evaluation.evaluate import perform_each
 from eldata.evaluation.published import comparison_table
 from eldata.evaluation.request import make_request
 from eldata.manifest.card import Subset, save_card
@@ -329,7 +329,7 @@ def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Pa
     clips = make_request(None, "", None, manifest=drv.csv, root=drv.root, ids=["0007"], baseline="input")
     for request, protocol, unit in zip((images, clips), broken, ("s0/clean.dng", "long/0007/"), strict=True):
         with pytest.raises(TypeError) as caught:
-            perform(replace(request, protocol=protocol, workers=Workers(1)))
+            perform_each([replace(request, protocol=protocol, workers=Workers(1))])
         assert any(
             note.startswith(f"while the predictions for the reference {unit}") for note in caught.value.__notes__
         )

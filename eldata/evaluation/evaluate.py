@@ -216,27 +216,33 @@ def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
         found = [_find_predictions(request, plan) for request in requests]
         files, of_whites = require_pairs(first, plan.pairs)
         predictions = [
-            None if request.predictions is None else one.files if request.allow_missing or not one.problems else {}
-            for request, one in zip(requests, found, strict=True)
+            None if request.predictions is None else those.files if request.allow_missing or not those.problems else {}
+            for request, those in zip(requests, found, strict=True)
         ]
         outcomes = score_predictions(first, files, plan.pairs, predictions)
-    results = [_result(request, plan, one, of) for request, one, of in zip(requests, found, outcomes, strict=True)]
+    results = [
+        _result(request, plan, those, scored) for request, those, scored in zip(requests, found, outcomes, strict=True)
+    ]
     return [replace(result, notes=(*result.notes, *of_whites)) for result in results]
 
 
 def _result(
     request: Request, plan: ScoringPlan, found: FoundPredictions, outcomes: Sequence[PairOutcome]
 ) -> EvaluationResult:
-    suspicions = suspicions_of([one.inspection for one in outcomes if one.inspection is not None])
-    refused = [EvaluationProblem(str(request.predictions), str(one)) for one in suspicions] if request.strict else []
-    problems = [*found.problems, *(problem for one in outcomes for problem in one.problems)]
-    scores = {one.path: one.score for one in outcomes if one.score is not None}
+    suspicions = suspicions_of([outcome.inspection for outcome in outcomes if outcome.inspection is not None])
+    refused = (
+        [EvaluationProblem(str(request.predictions), str(suspicion)) for suspicion in suspicions]
+        if request.strict
+        else []
+    )
+    problems = [*found.problems, *(problem for outcome in outcomes for problem in outcome.problems)]
+    scores = {outcome.path: outcome.score for outcome in outcomes if outcome.score is not None}
     if refused or (problems and not request.allow_missing):
         scores = {}
     provenance = provenance_of(request, plan, outcomes)
     result = EvaluationResult.of(request.protocol, provenance, plan.pairs, scores, [*refused, *problems])
     result = replace(result, suspicions=suspicions)
-    notes = notes_of(request.protocol, plan, found, result, [one for one in outcomes if one.path in scores])
+    notes = notes_of(request.protocol, plan, found, result, [outcome for outcome in outcomes if outcome.path in scores])
     return replace(result, notes=(*shading_notes(request), *notes))
 
 
@@ -297,7 +303,7 @@ def notes_of(
     notes += [
         f"{count} predictions of {name} are there too; not scored here" for name, count in found.elsewhere.items()
     ]
-    bare = [one.path for one in outcomes if one.lacks_channel_whites]
+    bare = [outcome.path for outcome in outcomes if outcome.lacks_channel_whites]
     if bare:
         notes.append(
             f"LibRaw has no white level per channel of the references of {len(bare)} pairs, such as that of {bare[0]}: "
@@ -333,11 +339,11 @@ def _white_level_notes(outcomes: Sequence[PairOutcome]) -> list[str]:
     """Name the cameras whose files saturate at another level than the protocol divides by, in one line."""
     found: dict[str, set[float]] = {}
     taken_dn = 0.0
-    for one in outcomes:
-        stated_dn, white_dn = one.white_levels_dn or (0.0, 0.0)
-        if one.score is not None and abs(stated_dn - white_dn) > _USUAL_WHITE * white_dn:
+    for outcome in outcomes:
+        stated_dn, white_dn = outcome.white_levels_dn or (0.0, 0.0)
+        if outcome.score is not None and abs(stated_dn - white_dn) > _USUAL_WHITE * white_dn:
             taken_dn = white_dn  # the same of every file
-            found.setdefault(one.score.camera, set()).add(stated_dn)
+            found.setdefault(outcome.score.camera, set()).add(stated_dn)
     if not found:
         return []
     whose = ", those of ".join(
@@ -354,7 +360,8 @@ def provenance_of(request: Request, plan: ScoringPlan, outcomes: Sequence[PairOu
     import rawpy
 
     manifest, cameras = request.manifest, request.cameras
-    choices = [one.equal_choices for one in outcomes if one.equal_choices is not None and one.score is not None]
+    scored = [outcome for outcome in outcomes if outcome.score is not None]
+    choices = [outcome.equal_choices for outcome in scored if outcome.equal_choices is not None]
     equal = {name: frozenset.intersection(*(of[name] for of in choices)) for name in (choices[0] if choices else ())}
     return {
         "dataset": manifest.name,

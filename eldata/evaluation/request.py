@@ -193,7 +193,7 @@ def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Pro
     wrong = f"is for dataset {chosen.dataset!r}, not {manifest.name!r}"
     if chosen.kind is not default.kind:
         wrong = f"scores {chosen.kind.units}, and {manifest.name!r} is a dataset of {default.kind.units}"
-    own = ", ".join(one.name for one in protocols_for(manifest.name))
+    own = ", ".join(known.name for known in protocols_for(manifest.name))
     raise ArgumentError(f"protocol {chosen.name!r} {wrong}; its protocols are {own}")
 
 

@@ -449,7 +449,7 @@ def _read_result(top: Fields) -> EvaluationResult:
         missing=coverage.texts("missing"),
         problems=tuple(_read_record(EvaluationProblem, problem) for problem in top.objects("problems")),
         notes=top.texts("notes"),
-        suspicions=tuple(_read_record(Suspicion, one) for one in top.objects("suspicions", missing_ok=True)),
+        suspicions=tuple(_read_record(Suspicion, mistake) for mistake in top.objects("suspicions", missing_ok=True)),
         source=str(top.file.name),
     )
 

@@ -29,7 +29,7 @@ def looking_cost(files: Files, rounds: int) -> list[Row]:
         with patch.object(score, "chosen_frames", lambda _frames: frozenset()):
             return looking()
 
-    count = len(looking().images)
+    count = len(looking().scores)
     timings = in_turn(rounds, {"looking for mistakes": looking, "scoring alone": scoring})
     return [timings.cost(f"{count} of {count} pairs looked at", "looking for mistakes", "scoring alone", at_most=1.03)]
 
@@ -45,7 +45,7 @@ def run(files: Files, rounds: int, _cores: int) -> list[Row]:
         _, target = published.item(noisy, reference)
         return published.scores(torch.from_numpy(np.load(prediction)), torch.from_numpy(target))
 
-    images = ours().images
+    images = ours().scores
     first = next(image for image in images if noisy.match(image.path))
     target = published.read_packed(reference)
     values = deviations(np.load(prediction), target, (first.psnr_db, first.ssim), straightforward())

@@ -282,7 +282,7 @@ def score(bench: Bench, denoiser: Any, name: str) -> tuple[list[tuple[str, float
         result = evaluate(folder, **where)
         shutil.rmtree(folder)
     print(f"{bench.camera}.{name}: {result.table[-1].psnr_db:.2f} dB", flush=True)
-    images = sorted(result.images, key=lambda one: one.path)
+    images = sorted(result.scores, key=lambda one: one.path)
     return [(one.scene, float(one.ratio or 0)) for one in images], [round(one.psnr_db, 3) for one in images]
 
 

@@ -161,7 +161,7 @@ def mirrored_window(clip: Clip, path: str, length: int) -> tuple[str, ...]:
 
 
 def estimate_line(image: Values) -> SignalNoise:
-    """Return what a frame tells of its own noise (:func:`eldata.baselines.classical.noise_of_image`).
+    """Estimate the noise of a frame from the frame itself (:func:`eldata.baselines.classical.noise_of_image`).
 
     Raises
     ------
@@ -179,7 +179,7 @@ def estimate_line(image: Values) -> SignalNoise:
 def line_of_profile(
     profile: CameraProfile, path: str, iso: float | None, *, ratio: float, range_dn: float
 ) -> SignalNoise:
-    """Return what a profile says of a frame.
+    """Return the line of shot and read noise that a profile states for a frame.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def add_options(parser: console.Parser) -> None:
 
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
-    from eldata.evaluation.evaluate import perform
+    from eldata.evaluation.evaluate import perform_each
     from eldata.evaluation.request import make_request
 
     if len(arguments.predictions) > 1 or arguments.output or arguments.names:
@@ -68,7 +68,7 @@ def run(arguments: console.Arguments) -> int:
     with console.chosen_workers(arguments) as workers:
         request = make_request(predictions, **_options(arguments, workers))
         _check_places(request, *(path.parent for path in console.output_paths(arguments)))
-        result = perform(request)
+        result = perform_each([request])[0]
 
         def write_page() -> None:
             from eldata.reports.evaluation import write_evaluation_page

@@ -169,14 +169,14 @@ def known_profile(camera: SimulatedCamera, isos: Sequence[int]) -> CameraProfile
 
 def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, EvaluationResult]) -> None:
     """Draw each scene once, cameras in turn, at the middle ISO and the larger factor."""
-    pairs = next(iter(results.values())).pairs
+    pairs = next(iter(results.values())).units
     cameras = list(dict.fromkeys(pair.camera for pair in pairs))
     scenes = list(dict.fromkeys(pair.scene for pair in pairs))
     rows = []
     for index, scene in enumerate(scenes):
         camera = cameras[index % len(cameras)]
         pair = next(p for p in pairs if p.camera == camera and p.scene == scene and p.iso == 1600 and p.ratio == 200)
-        reference = read_raw(folder / pair.reference)
+        reference = read_raw(folder / str(pair.reference))
         target = packed_frame(reference, levels="published", clip="both")
         title = scene_title(int(scene.removeprefix("scene-")))
         row = [(f"{title}, {camera}: reference, ISO 100", _middle(preview(target, reference.sensor)))]
@@ -184,7 +184,7 @@ def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, Evalua
         for name, result in results.items():
             file = (predictions / name / pair.path).with_suffix(".npy")
             prediction = noisy if name == INPUT else load_prediction(file, reference.sensor, "published")
-            score = next(image for image in result.images if image.path == pair.path)
+            score = next(image for image in result.scores if image.path == pair.path)
             caption = f"{name}, ISO 1600 x200: {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
             row.append((caption, _middle(preview(prediction * score.rescale, reference.sensor))))
         rows.append(row)

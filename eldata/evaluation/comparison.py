@@ -298,7 +298,7 @@ def compare(results: Mapping[str, EvaluationResult]) -> Comparison:
 def _common_kind(results: Sequence[EvaluationResult]) -> Kind:
     """Return the kind of the first with the columns that all have; a task of another label or direction is another."""
     first, *others = (result.kind for result in results)
-    return replace(first, metrics=tuple(one for one in first.metrics if all(one in other.metrics for other in others)))
+    return replace(first, metrics=tuple(m for m in first.metrics if all(m in other.metrics for other in others)))
 
 
 def _groups(images: Images, metrics: Sequence[numbers.Figure], result: EvaluationResult) -> tuple[Group, ...]:

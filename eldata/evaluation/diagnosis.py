@@ -1,7 +1,7 @@
 """Mistakes in predictions that references show: undone, they would raise the scores.
 
 A few frames of each camera and factor are looked at (:func:`chosen_frames`). On some blocks of each, the orders of
-channels, shifts, flips and curves that mistakes leave behind are tried (:func:`mistake_in`); what stands out there is
+channels, shifts and curves that mistakes leave behind are tried (:func:`mistake_in`); what stands out there is
 undone on the whole frame and scored as the protocol does. What most frames show alike is a suspicion
 (:func:`suspicions_of`).
 
@@ -140,7 +140,7 @@ def mistake_in(prediction: Array, target: Array, psnr_db: float, now: Circumstan
     if is_copied_input(p, inner, blocks, now):
         return Mistake("as if the noisy input, amplified, were copied")
     explanations: list[tuple[float, Mistake]] = []
-    for undoing in filter(None, (best_curve(p, g, now), best_place(prediction, blocks, p, inner, now))):
+    for undoing in filter(None, (best_curve(p, g, now), best_place(p, inner, now))):
         words, undo, least_db = undoing
         if undo is None:
             explanations.append((GAIN_DB, Mistake(words)))
@@ -240,42 +240,43 @@ _LIKE, _LIKER = 0.7, 0.3  # the correlation with another reference, at least, an
 
 def _exchanged(inspections: Sequence[Inspection]) -> list[Suspicion]:
     """Suspect predictions of belonging to other frames if some are like another frame's reference."""
-    references = np.stack([one.reference for one in inspections]) if inspections else np.empty((0, 0))
-    found = []
-    for one in inspections:
-        likeness = references @ one.prediction
+    references = np.stack([inspection.reference for inspection in inspections]) if inspections else np.empty((0, 0))
+    exchanged = []
+    for inspection in inspections:
+        likeness = references @ inspection.prediction
         other = int(likeness.argmax())
-        if likeness[other] >= max(_LIKE, float(one.reference @ one.prediction) + _LIKER):
-            found.append((one, inspections[other]))
-    if not found:
+        if likeness[other] >= max(_LIKE, float(inspection.reference @ inspection.prediction) + _LIKER):
+            exchanged.append((inspection, inspections[other]))
+    if not exchanged:
         return []
-    first, its = found[0]
+    first, its = exchanged[0]
     words = f"as if of another frame: that of {first.path} is like the reference of {its.path}"
-    score = fmean([one.psnr_db for one, _ in found])
-    return [Suspicion(words, "", len(found), len(inspections), score, None, first.path)]
+    score = fmean([inspection.psnr_db for inspection, _ in exchanged])
+    return [Suspicion(words, "", len(exchanged), len(inspections), score, None, first.path)]
 
 
 def _grouped(inspections: Sequence[Inspection], key: Callable[[Inspection], Any]) -> dict[Any, list[Inspection]]:
     groups: dict[Any, list[Inspection]] = defaultdict(list)
-    for one in inspections:
-        groups[key(one)].append(one)
+    for inspection in inspections:
+        groups[key(inspection)].append(inspection)
     return groups
 
 
 def _shared_mistake(inspections: Sequence[Inspection], where: str, fewest: int) -> Suspicion | None:
     """Return the mistake that most of these frames show, if there is one."""
-    showing = _grouped(inspections, lambda one: one.mistake and one.mistake.words)
+    showing = _grouped(inspections, lambda inspection: inspection.mistake and inspection.mistake.words)
     showing.pop(None, None)
     words, most = max(showing.items(), key=lambda item: len(item[1]), default=("", []))
     if not most or len(most) < max(_SHARE * len(inspections), fewest):
         return None
-    without = [one.mistake.without_db for one in most if one.mistake and one.mistake.without_db is not None]
+    mistakes = [inspection.mistake for inspection in most if inspection.mistake]
+    without = [mistake.without_db for mistake in mistakes if mistake.without_db is not None]
     return Suspicion(
         words=words,
         where=where,
         shown=len(most),
         looked=len(inspections),
-        psnr_db=fmean([one.psnr_db for one in most]),
+        psnr_db=fmean([inspection.psnr_db for inspection in most]),
         without_db=fmean(without) if len(without) == len(most) else None,
         example=most[0].path,
     )

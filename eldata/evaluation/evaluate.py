@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import platform
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from eldata import __version__
 from eldata.errors import EldataError
 from eldata.evaluation.diagnosis import suspicions_of
-from eldata.evaluation.layouts import Expected, FoundPredictions, dataset_itself, find_predictions, misplaced
-from eldata.evaluation.predictions import describe_other_look
+from eldata.evaluation.layouts import FoundPredictions, find_predictions
 from eldata.evaluation.request import (
     SETTINGS,
     Request,
@@ -26,7 +26,6 @@ from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.score import compared_images, score_predictions
 from eldata.evaluation.scores import EvaluationProblem
 from eldata.evaluation.tasks import task_note
-from eldata.metrics.registry import IMAGES
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.protocol import CHOICES, ONE_CAMERAS_LEVELS
 from eldata.protocols.words import LEVELS
@@ -91,7 +90,7 @@ def evaluate(
     allow_missing
         Whether to score the rest if predictions are missing or unusable; the table shows the coverage. Default: False.
     baseline
-        ``"input"``, in place of ``predictions``: score the noisy input itself, amplified and clipped as the protocol
+        ``"input"``, instead of ``predictions``: score the noisy input itself, amplified and clipped as the protocol
         has it. Default: None.
     strict
         Whether predictions that show a mistake (:mod:`eldata.evaluation.diagnosis`) are a problem: then nothing has a
@@ -137,7 +136,7 @@ def evaluate(
         cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
         baseline=baseline, strict=strict, task=task, dark_shading=dark_shading, workers=workers,
     )  # fmt: skip
-    return perform(request)
+    return perform_each([request])[0]
 
 
 def scored_pairs(
@@ -194,7 +193,7 @@ def scored_pairs(
         baseline=baseline, dark_shading=dark_shading,
     )  # fmt: skip
     plan = plan_scoring(request)
-    found = _found(request, plan)
+    found = _find_predictions(request, plan)
     if found.problems and not (allow_missing and found.files):
         more = f" (and {len(found.problems) - 1} more: eldata evaluate lists all)" if len(found.problems) > 1 else ""
         raise EldataError(f"{found.problems[0]}{more}")
@@ -202,91 +201,68 @@ def scored_pairs(
     return compared_images(request, files, plan.pairs, None if predictions is None else found.files)
 
 
-def perform(request: Request) -> EvaluationResult:
-    """Return the result of a request.
-
-    Raises
-    ------
-    EldataError, DatasetError, ManifestError, ArgumentError
-        Like :func:`evaluate`.
-    """
-    return perform_each([request])[0]
-
-
 def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
-    """Return what :func:`perform` does of each of these requests, which differ in their predictions alone, in one pass.
+    """Score several requests, which differ in their predictions alone, in one pass; return a result of each.
 
     Raises
     ------
     EldataError, DatasetError, ManifestError, ArgumentError
-        Like :func:`perform`; what is wrong with the predictions in one folder is a problem of its result alone.
+        Like :func:`evaluate`; what is wrong with the predictions in one folder is a problem of its result alone.
     """
     first = requests[0]
     plan = plan_scoring(first)
     with first.workers_for(plan.pairs).sharing() as workers:  # processes are started once, for checks and scores
         first = replace(first, workers=workers)
-        found = [_found(request, plan) for request in requests]
+        found = [_find_predictions(request, plan) for request in requests]
         files, of_whites = require_pairs(first, plan.pairs)
         predictions = [
-            None if request.predictions is None else one.files if request.allow_missing or not one.problems else {}
-            for request, one in zip(requests, found, strict=True)
+            None if request.predictions is None else those.files if request.allow_missing or not those.problems else {}
+            for request, those in zip(requests, found, strict=True)
         ]
         outcomes = score_predictions(first, files, plan.pairs, predictions)
-    results = [_result(request, plan, one, of) for request, one, of in zip(requests, found, outcomes, strict=True)]
+    results = [
+        _result(request, plan, those, scored) for request, those, scored in zip(requests, found, outcomes, strict=True)
+    ]
     return [replace(result, notes=(*result.notes, *of_whites)) for result in results]
 
 
 def _result(
     request: Request, plan: ScoringPlan, found: FoundPredictions, outcomes: Sequence[PairOutcome]
 ) -> EvaluationResult:
-    suspicions = suspicions_of([one.inspection for one in outcomes if one.inspection is not None])
-    refused = [EvaluationProblem(str(request.predictions), str(one)) for one in suspicions] if request.strict else []
-    problems = [*found.problems, *(problem for one in outcomes for problem in one.problems)]
-    scores = {one.path: one.score for one in outcomes if one.score is not None}
+    suspicions = suspicions_of([outcome.inspection for outcome in outcomes if outcome.inspection is not None])
+    refused = (
+        [EvaluationProblem(str(request.predictions), str(suspicion)) for suspicion in suspicions]
+        if request.strict
+        else []
+    )
+    problems = [*found.problems, *(problem for outcome in outcomes for problem in outcome.problems)]
+    scores = {outcome.path: outcome.score for outcome in outcomes if outcome.score is not None}
     if refused or (problems and not request.allow_missing):
         scores = {}
     provenance = provenance_of(request, plan, outcomes)
     result = EvaluationResult.of(request.protocol, provenance, plan.pairs, scores, [*refused, *problems])
     result = replace(result, suspicions=suspicions)
-    notes = notes_of(request.protocol, plan, found, result, [one for one in outcomes if one.path in scores])
+    notes = notes_of(request.protocol, plan, found, result, [outcome for outcome in outcomes if outcome.path in scores])
     return replace(result, notes=(*shading_notes(request), *notes))
 
 
-def _found(request: Request, plan: ScoringPlan) -> FoundPredictions:
-    """Return the predictions of what is scored; a baseline has none.
-
-    Of a folder in which nothing is where a prediction may be, or nothing is what the protocol takes, that is the one
-    problem.
-    """
-    folder = request.predictions
-    if folder is None:
+def _find_predictions(request: Request, plan: ScoringPlan) -> FoundPredictions:
+    """Find the predictions of what is scored; a baseline has none."""
+    if request.predictions is None:
         return FoundPredictions({}, (), 0)
-    known, elsewhere = known_places(request), places_elsewhere(request)
-    places = [pair.place(frame) for pair in plan.pairs for frame in pair.frames]
-    references: dict[str, str] = {}
-    for pair in plan.pairs:
-        if isinstance(pair, PairRecord):
-            references.setdefault(pair.reference, pair.path)
-    problem = dataset_itself(folder, request.folder, [row.path for row in request.manifest.records])
-    problem = problem or misplaced(folder, Expected(list(dict.fromkeys(places)), references, elsewhere), known)
-    if problem is not None:
-        return FoundPredictions({}, (problem,), 0)
-    found = find_predictions(
-        folder,
-        places,
-        known=known,
-        elsewhere=elsewhere,
+    set_aside, because = plan.facts.get("set_aside"), ""
+    if set_aside:
+        because = f", and {request.protocol.name} scores this set's own pairs, not its {', '.join(set_aside)}"
+    return find_predictions(
+        request.predictions,
+        [pair.place(frame) for pair in plan.pairs for frame in pair.frames],
+        known_places(request),
+        references={pair.reference: pair.path for pair in reversed(plan.pairs) if isinstance(pair, PairRecord)},
+        elsewhere=partial(places_elsewhere, request),
+        dataset=(request.folder, [row.path for row in request.manifest.records]),
         allow_missing=request.allow_missing,
-        because=_own_pairs(request.protocol.name, plan),
+        because=because,
     )
-    reason = describe_other_look(request.protocol, found, request.manifest, folder) if request.kind is IMAGES else None
-    return found if reason is None else FoundPredictions({}, (EvaluationProblem(str(folder), reason),), 0)
-
-
-def _own_pairs(name: str, plan: ScoringPlan) -> str:
-    """Return why a set of the user's own may lack predictions of pairs that its protocol does not choose elsewhere."""
-    set_aside = plan.facts.get("set_aside")
-    return f", and {name} scores this set's own pairs, not its {', '.join(set_aside)}" if set_aside else ""
 
 
 # --- what stands beside a result's numbers ----------------------------------------------------------------------------
@@ -298,7 +274,7 @@ _USUAL_RESCALE = (1 / 3, 3.0)
 
 
 def shading_notes(request: Request) -> list[str]:
-    """Return what was done to the inputs, or is stated of them."""
+    """Describe the dark shading that was subtracted from the inputs, or is stated to be."""
     if request.dark_shading is None:
         return []
     shading = dark_shading_in(request.dark_shading)
@@ -317,7 +293,7 @@ def notes_of(
     result: EvaluationResult,
     outcomes: Sequence[PairOutcome],
 ) -> list[str]:
-    """Return what a reader of a result's table should know: of its pairs, its predictions, its levels and factors."""
+    """Return the notes for readers of a table: on its pairs, predictions, levels and factors."""
     notes, scores = [], result.scores
     if set_aside := plan.facts.get("set_aside"):
         factors = ", ".join(f"x{ratio:g}" for ratio in plan.facts["ratios"])
@@ -327,7 +303,7 @@ def notes_of(
     notes += [
         f"{count} predictions of {name} are there too; not scored here" for name, count in found.elsewhere.items()
     ]
-    bare = [one.path for one in outcomes if one.lacks_channel_whites]
+    bare = [outcome.path for outcome in outcomes if outcome.lacks_channel_whites]
     if bare:
         notes.append(
             f"LibRaw has no white level per channel of the references of {len(bare)} pairs, such as that of {bare[0]}: "
@@ -360,14 +336,14 @@ def notes_of(
 
 
 def _white_level_notes(outcomes: Sequence[PairOutcome]) -> list[str]:
-    """Return whose files saturate at another level than the protocol divides by, in one line with all numbers."""
+    """Name the cameras whose files saturate at another level than the protocol divides by, in one line."""
     found: dict[str, set[float]] = {}
     taken_dn = 0.0
-    for one in outcomes:
-        stated_dn, white_dn = one.white_levels_dn or (0.0, 0.0)
-        if one.score is not None and abs(stated_dn - white_dn) > _USUAL_WHITE * white_dn:
+    for outcome in outcomes:
+        stated_dn, white_dn = outcome.white_levels_dn or (0.0, 0.0)
+        if outcome.score is not None and abs(stated_dn - white_dn) > _USUAL_WHITE * white_dn:
             taken_dn = white_dn  # the same of every file
-            found.setdefault(one.score.camera, set()).add(stated_dn)
+            found.setdefault(outcome.score.camera, set()).add(stated_dn)
     if not found:
         return []
     whose = ", those of ".join(
@@ -380,11 +356,12 @@ def _white_level_notes(outcomes: Sequence[PairOutcome]) -> list[str]:
 
 
 def provenance_of(request: Request, plan: ScoringPlan, outcomes: Sequence[PairOutcome]) -> dict[str, Any]:
-    """Return what the numbers of a result depend on: versions, manifest, protocol's digest, choice of pairs."""
+    """Collect the facts that a result depends on: versions, manifest, the protocol's digest, the choice of pairs."""
     import rawpy
 
     manifest, cameras = request.manifest, request.cameras
-    choices = [one.equal_choices for one in outcomes if one.equal_choices is not None and one.score is not None]
+    scored = [outcome for outcome in outcomes if outcome.score is not None]
+    choices = [outcome.equal_choices for outcome in scored if outcome.equal_choices is not None]
     equal = {name: frozenset.intersection(*(of[name] for of in choices)) for name in (choices[0] if choices else ())}
     return {
         "dataset": manifest.name,

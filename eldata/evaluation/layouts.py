@@ -10,9 +10,9 @@ import re
 from collections import Counter
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from eldata.base.files import folder_problem, visible_below
 from eldata.base.numbers import counted
@@ -20,7 +20,7 @@ from eldata.errors import EldataError
 from eldata.evaluation.scores import EvaluationProblem
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 EXTENSIONS = (".npy", ".npz", ".h5", ".tif", ".tiff", ".png", ".dng")
 """The kinds of file that a prediction may be, by the ends of their names."""
@@ -31,28 +31,8 @@ _MOST_EXAMINED = 20  # files whose names are compared with all noisy frames'
 _MOST_WORDS = 40  # of a path, at its end
 _MOST_NAMED = 3
 _FOLDERS_ABOVE = 3
-_MOST_EXTRA = 100  # files of no noisy frame that are named one by one
 _MOST_SHOWN = 8  # predictions of one frame
 READ = f"{', '.join(EXTENSIONS[:-1])} or {EXTENSIONS[-1]}"
-
-
-@dataclass(frozen=True, slots=True)
-class Expected:
-    """Names that files of predictions may have, all as POSIX paths relative to their folder.
-
-    Attributes
-    ----------
-    places
-        Of the predictions that are to be scored: the noisy frames' paths.
-    references
-        Paths of references, each with that of a noisy frame that it is the reference of.
-    elsewhere
-        Paths of the noisy frames of other datasets, by their names.
-    """
-
-    places: Collection[str]
-    references: Mapping[str, str]
-    elsewhere: Mapping[str, Collection[str]]
 
 
 def stem_of(path: str) -> str:
@@ -61,11 +41,17 @@ def stem_of(path: str) -> str:
 
 
 def is_read(name: str) -> bool:
-    """Return whether a file's extension is one that predictions have."""
+    """Tell whether predictions may have a file's extension."""
     return Path(name).suffix.lower() in EXTENSIONS
 
 
-def layout_in_words(folder: Path, names: Sequence[str], expected: Expected) -> str:
+def describe_layout(
+    folder: Path,
+    names: Sequence[str],
+    places: Collection[str],
+    references: Mapping[str, str] = MappingProxyType({}),
+    elsewhere: Mapping[str, int] = MappingProxyType({}),
+) -> str:
     """Describe a folder in which no prediction lies where it is looked for, and the nearest layout.
 
     Parameters
@@ -74,42 +60,32 @@ def layout_in_words(folder: Path, names: Sequence[str], expected: Expected) -> s
         The folder of predictions; those above it may be the right one.
     names
         The files in it, POSIX paths relative to it.
-    expected
-        What would be looked for.
+    places, references
+        Paths of the noisy frames, and of the references, each with that of a noisy frame that it belongs to.
+    elsewhere
+        Numbers of predictions of other datasets, by their names.
     """
-    likely = [name for name in names if is_read(name)]
-    place = next(iter(expected.places))
-    rule = f"the prediction of {place} is {_target(place)}"
+    rule = f"the prediction of {(place := next(iter(places)))} is {_target(place)}"
     if not names:
         return f"found no file, but for hidden ones and links to folders; expected one for each noisy frame: {rule}"
-    wrong = f"none of them where expected ({rule})"
+    wrong, likely = f"none of them where expected ({rule})", [name for name in names if is_read(name)]
     if not likely:
         likely = list(names)
         wrong = f"none of them read; expected {READ} ({rule}, and eldata.evaluation.save_prediction writes it)"
-    advice = (
-        _of_other_datasets(likely, expected) or _other_folder(folder, likely, expected) or _nearest(likely, expected)
+    others = [f"{count} of them of {name} (--dataset {name})" for name, count in elsewhere.items()]
+    advice = f"it holds predictions of other data, {_listed(others, 'and')}" if others else None
+    advice = advice or _other_folder(folder, likely, places) or _nearest(likely, places, references)
+    return (
+        f"found {counted(len(likely), 'file')}, {wrong}; {advice or 'is it the right folder, and the right dataset?'}"
     )
-    return f"found {_counted(likely)}, {wrong}; {advice or 'is it the right folder, and the right dataset?'}"
-
-
-def nearest_in_words(names: Sequence[str], places: Iterable[str]) -> str | None:
-    """Say what the first file's name would have to be of which it can be told, or ``None``."""
-    return _nearest(names, Expected(tuple(places), {}, {}), ambiguous=False)
 
 
 # --- the nearest layout -----------------------------------------------------------------------------------------------
 
 
-def _of_other_datasets(names: Sequence[str], expected: Expected) -> str | None:
-    stems = {stem_of(name) for name in names}
-    counts = {name: len(stems & {stem_of(path) for path in paths}) for name, paths in expected.elsewhere.items()}
-    there = [f"{count} of them of {name} (--dataset {name})" for name, count in counts.items() if count]
-    return f"it holds predictions of other data, {_listed(there, 'and')}" if there else None
-
-
-def _other_folder(folder: Path, names: Sequence[str], expected: Expected) -> str | None:
-    """Say which other folder has the expected layout: one below, several below, or one above this."""
-    stems = {stem_of(place) for place in expected.places}
+def _other_folder(folder: Path, names: Sequence[str], places: Collection[str]) -> str | None:
+    """Name the folder with the expected layout: one below, several below, or one above this."""
+    stems = {stem_of(place) for place in places}
     deepest = max(stem.count("/") + 1 for stem in stems)
     below = set()
     for parts in (stem_of(name).split("/") for name in names):
@@ -128,9 +104,11 @@ def _other_folder(folder: Path, names: Sequence[str], expected: Expected) -> str
     return None
 
 
-def _nearest(names: Sequence[str], expected: Expected, *, ambiguous: bool = True) -> str | None:
+def _nearest(
+    names: Sequence[str], places: Iterable[str], references: Mapping[str, str], *, ambiguous: bool = True
+) -> str | None:
     """Return an example: a file, and what its name would have to be, or else, if wanted, what it could be."""
-    words = {place: _words(stem_of(place)) for place in (*expected.references, *expected.places)}
+    words = {place: _words(stem_of(place)) for place in (*references, *places)}
     beginnings = {place: _beginning(place) for place in words}
     unclear = None
     for name in names[:_MOST_EXAMINED]:
@@ -138,11 +116,11 @@ def _nearest(names: Sequence[str], expected: Expected, *, ambiguous: bool = True
         alike = {place: _likeness(words[place], its) for place in words if beginnings[place].issubset(its)}
         most = max(alike.values(), default=None)
         best = [place for place, likeness in alike.items() if likeness == most]
-        meant = [place for place in best if place not in expected.references]
+        meant = [place for place in best if place not in references]
         if best and not meant:
             return (
                 f"{name} has the name of a reference; predictions have that of their noisy frame, such as "
-                f"{_target(expected.references[best[0]], name)}"
+                f"{_target(references[best[0]], name)}"
             )
         if len(meant) == 1:
             return f"{name} would be {_target(meant[0], name)}"
@@ -183,16 +161,6 @@ def _extension(name: str) -> str:
     return suffix if _EXTENSION.fullmatch(suffix) else ""
 
 
-def _counted(names: Sequence[str]) -> str:
-    """Return the numbers of files by extension, such as ``12 .npy files and 1 .json file``."""
-    counts = Counter(map(_extension, names)).most_common()
-    texts = [
-        counted(count, f"{end} file") if end else f"{counted(count, 'file')} without an extension"
-        for end, count in counts
-    ]
-    return _listed(texts, "and")
-
-
 def _listed(texts: Sequence[str], word: str) -> str:
     """Return the first of some texts in a sentence, such as ``a, b and 3 others``."""
     if len(texts) > _MOST_NAMED + 1:
@@ -227,26 +195,31 @@ class FoundPredictions:
 
 def find_predictions(
     folder: Path,
-    places: Iterable[str],
-    known: Iterable[str] = (),
+    places: Collection[str],
+    known: Collection[str] = (),
     *,
-    elsewhere: Mapping[str, Collection[str]] = MappingProxyType({}),
+    references: Mapping[str, str] = MappingProxyType({}),
+    elsewhere: Callable[[], Mapping[str, Iterable[str]]] = dict,
+    dataset: tuple[Path, Iterable[str]] | None = None,
     allow_missing: bool = False,
     because: str = "",
 ) -> FoundPredictions:
     """Match the files of a folder with where predictions may lie, but for their extension.
 
+    Of a folder in which nothing lies where a prediction may, that is the one problem.
+
     Parameters
     ----------
     folder
         The folder of predictions.
-    places
-        Where those that are to be scored may lie, relative to it: the paths of noisy frames, whose extension does not
-        matter.
-    known
-        The same of all noisy frames of the manifest.
+    places, known
+        Paths of the noisy frames to score, and of all in the manifest: where predictions may lie.
+    references
+        Paths of references, each with that of a noisy frame that it belongs to.
     elsewhere
-        The same of other datasets, by their names.
+        Returns the noisy frames' paths in other datasets, by their names; called if files are left over.
+    dataset
+        The dataset's folder and its files' paths there: these are no predictions.
     allow_missing
         Whether noisy frames may lack a prediction.
     because
@@ -257,26 +230,33 @@ def find_predictions(
     EldataError
         If the folder is not there.
     """
+    names = _files(folder)
+    if dataset is not None:
+        raws = _raws_among(folder, names, *dataset)
+        names = [name for name in names if name not in raws]
+        if raws and not any(map(is_read, names)):
+            return FoundPredictions({}, (EvaluationProblem(str(folder), OF_DATASET.format(dataset[0])),), 0)
     by_stem: dict[str, list[str]] = {}
     unread: dict[str, str] = {}
-    for name in _files(folder):
+    for name in names:
         if is_read(name):
             by_stem.setdefault(stem_of(name), []).append(name)
         else:
             unread.setdefault(stem_of(name), name)
+    is_elsewhere = by_stem.keys().isdisjoint(map(stem_of, (*places, *known)))
     files: dict[str, Path] = {}
     problems, missing = [], []
     place_of_stem: dict[str, str] = {}
     for place in places:
         stem = stem_of(place)
-        names = by_stem.pop(stem, [])
+        alike = by_stem.pop(stem, [])
         if place_of_stem.setdefault(stem, place) != place:
             reason = f"its prediction would lie where that of {place_of_stem[stem]} does; give the frames other names"
             problems.append(EvaluationProblem(place, reason))
-        elif len(names) == 1:
-            files[place] = folder / names[0]
-        elif names:
-            reason = f"expected one prediction, found {len(names)}: {', '.join(names[:_MOST_SHOWN])}; keep one"
+        elif len(alike) == 1:
+            files[place] = folder / alike[0]
+        elif alike:
+            reason = f"expected one prediction, found {len(alike)}: {', '.join(alike[:_MOST_SHOWN])}; keep one"
             problems.append(EvaluationProblem(place, reason))
         elif not allow_missing:
             there = add = ""
@@ -289,68 +269,31 @@ def find_predictions(
         return sum(len(by_stem.pop(stem, ())) for stem in set(map(stem_of, paths)))
 
     unscored = count_others(known)
-    counts = {name: count for name, paths in elsewhere.items() if (count := count_others(paths))}
-    problems += _strangers(
-        folder, [name for names in by_stem.values() for name in names], [one.path for one in missing]
-    )
+    counts = {name: count for name, paths in elsewhere().items() if (count := count_others(paths))} if by_stem else {}
+    if places and is_elsewhere:
+        layout = describe_layout(folder, names, places, references, counts)
+        return FoundPredictions({}, (EvaluationProblem(str(folder), layout),), 0)
+    extra = [name for alike in by_stem.values() for name in alike]
+    nearest = _nearest(extra, [problem.path for problem in missing], {}, ambiguous=False)
+    reason = "is the prediction of no noisy frame in the manifest; rename it or move it away"
+    reason += "" if nearest is None else f": {nearest}"
+    problems += [EvaluationProblem(name, reason) for name in extra]
     return FoundPredictions(files, (*problems, *missing), unscored, counts)
 
 
-def misplaced(folder: Path, expected: Expected, known: Iterable[str]) -> EvaluationProblem | None:
-    """Return the one problem of a folder in which nothing lies where a prediction may, or ``None``.
-
-    Parameters
-    ----------
-    folder
-        The folder of predictions.
-    expected
-        What is to be scored, and what may be there in its stead.
-    known
-        The paths of all noisy frames of the manifest.
-
-    Raises
-    ------
-    EldataError
-        If the folder is not there.
-    """
-    names = _files(folder)
-    stems = {stem_of(path) for path in (*expected.places, *known)}
-    if not expected.places or any(is_read(name) and stem_of(name) in stems for name in names):
-        return None
-    return EvaluationProblem(str(folder), layout_in_words(folder, names, expected))
+OF_DATASET: Final = (
+    "holds the dataset itself, {}; give a folder of predictions alone, such as eldata predict, eldata baseline or code "
+    "of yours writes, or --baseline input to score the noisy frames as they are"
+)
 
 
-def dataset_itself(folder: Path, dataset: Path, paths: Sequence[str]) -> EvaluationProblem | None:
-    """Return the one problem of a folder that is the dataset's, the one above it, or a camera's or scene's in it.
-
-    Predictions beside raw files of other kinds than predictions have are let through.
-
-    Parameters
-    ----------
-    folder
-        The folder of predictions.
-    dataset
-        The dataset's.
-    paths
-        Those of the manifest.
-    """
-    place, own = folder.resolve(), dataset.resolve()
-    above = place == own.parent
-    if not folder.is_dir() or not (above or place.is_relative_to(own)):
-        return None
-    parts = {parent.as_posix() for path in paths for parent in PurePosixPath(path).parents}
-    if not above and place.relative_to(own).as_posix() not in parts:
-        return None
-    # Beside raw files that are not read as predictions, and beside the dataset's folder, there may be some.
-    may_be = any((place / part).is_dir() for part in parts - {"."}) if above else any(map(is_read, _files(folder)))
-    if may_be and not any(map(is_read, paths)):
-        return None
-    what = "holds" if above else "is" if place == own else "is a part of"
-    return EvaluationProblem(
-        str(folder),
-        f"{what} the dataset itself, {dataset}; give a folder of predictions alone, such as eldata predict, eldata "
-        "baseline or code of yours writes, or --baseline input to score the noisy frames as they are",
-    )
+def _raws_among(folder: Path, names: Iterable[str], dataset: Path, paths: Iterable[str]) -> set[str]:
+    """Return the names of the dataset's own files in a folder, which is the dataset's, one above it or one in it."""
+    place, own = folder.resolve().as_posix(), dataset.resolve().as_posix()
+    if not (f"{own}/".startswith(f"{place}/") or place.startswith(f"{own}/")):
+        return set()
+    raws = {f"{own}/{path}" for path in paths}
+    return {name for name in names if f"{place}/{name}" in raws}
 
 
 def _files(folder: Path) -> list[str]:
@@ -363,15 +306,3 @@ def _files(folder: Path) -> list[str]:
         raise EldataError(f"{folder}: {problem}; give the one that holds the predictions, a file for each noisy frame")
     files = (path.relative_to(folder) for path in visible_below(folder) if is_read(path.name) or not path.is_dir())
     return sorted(map(Path.as_posix, files))
-
-
-def _strangers(folder: Path, names: list[str], missing: list[str]) -> list[EvaluationProblem]:
-    """Name the predictions of no noisy frame; of very many only the first."""
-    nearest = nearest_in_words(names, missing)
-    hint = "" if nearest is None else f": {nearest}"
-    reason = f"is the prediction of no noisy frame in the manifest; rename it or move it away{hint}"
-    problems = [EvaluationProblem(name, reason) for name in names[:_MOST_EXTRA]]
-    if len(names) > _MOST_EXTRA:
-        more = f"{len(names) - _MOST_EXTRA} more files are predictions of no noisy frame; is it the right folder?"
-        problems.append(EvaluationProblem(str(folder), more))
-    return problems

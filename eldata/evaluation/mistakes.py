@@ -128,7 +128,7 @@ def _cell_means(blocks: Array) -> Array:
     return means
 
 
-# --- orders of channels, shifts, flips --------------------------------------------------------------------------------
+# --- orders of channels, shifts --------------------------------------------------------------------------------
 
 _SCREENED_GAIN_DB = 0.5  # of the blocks alone
 _ALIKE = 1.03  # errors within this factor are alike: the likelier mistake is named
@@ -143,24 +143,15 @@ _USUAL_ORDERS: dict[int, tuple[tuple[int, ...], ...]] = {
     9: ((2, 1, 0, 4, 3, 5, 6, 7, 8),),
     3: ((2, 1, 0),),
 }
-_FLIPS: tuple[tuple[str, Change], ...] = (
-    ("flipped left to right", lambda image: image[:, :, ::-1]),
-    ("flipped upside down", lambda image: image[:, ::-1]),
-    ("turned by 180 degrees", lambda image: image[:, ::-1, ::-1]),
-)
 
 
-def best_place(
-    prediction: Array, blocks: Blocks, p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstances
-) -> Undoing | None:
-    """Return the order, shift or flip with the least error on the blocks, if it is worth trying.
+def best_place(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstances) -> Undoing | None:
+    """Return the order or shift with the least error on the blocks, if it is worth trying.
 
     Parameters
     ----------
-    prediction
-        Of the whole frame.
     p, g
-        Its blocks, and those of the reference without margin, (C, entries).
+        The prediction's blocks, and those of the reference without margin, (C, entries).
     """
     rules = now.protocol.rules
     low, high = rules.treatment(1.0)[:2]
@@ -174,7 +165,7 @@ def best_place(
 
     error_now = math.inf
     candidates: list[tuple[float, Undoing]] = []
-    for words, moved, undo, least_db in _moves(prediction, blocks, p, now):
+    for words, moved, undo, least_db in _moves(p, now):
         values = moved if math.isinf(high) else np.clip(moved, np.float32(low), np.float32(high))
         power = float(np.vdot(values, values))
         error = squared_error(float(np.vdot(values, g)), power)
@@ -195,9 +186,7 @@ def best_place(
     return next(undoing for error, undoing in candidates if error <= _ALIKE * least)
 
 
-def _moves(
-    prediction: Array, blocks: Blocks, p: NDArray[np.float32], now: Circumstances
-) -> Iterator[tuple[str, Array, Change | None, float]]:
+def _moves(p: NDArray[np.float32], now: Circumstances) -> Iterator[tuple[str, Array, Change | None, float]]:
     """Yield where the values may lie, likelier places first: words, the blocks moved back, what undoes it, its gain."""
     yield "", inner_entries(p), None, GAIN_DB
     steps, unit = range(-MARGIN, MARGIN + 1), "pixels" if now.sensor is None else "packed pixels"
@@ -210,10 +199,6 @@ def _moves(
         for (down, right), entries in _entries_in_mosaic(cfa, p.shape).items():
             words = f"shifted by ({down}, {right}) pixels of the mosaic (down, right)"
             yield words, flat[entries], _mosaic_shifted_back(down, right, cfa), SHIFT_GAIN_DB
-    for words, flip in _FLIPS:
-        yield words, inner_entries(blocks.cut(flip(prediction))), flip, GAIN_DB
-    words = "reshaped from (h, w, C), not transposed"
-    yield words, inner_entries(blocks.cut(_from_channels_last(prediction))), _from_channels_last, GAIN_DB
 
 
 @lru_cache(maxsize=4)
@@ -278,11 +263,6 @@ def _mosaic_shifted_back(down: int, right: int, cfa: CfaRows) -> Change:
     return lambda image: pack(back(unpack(np.ascontiguousarray(image), cfa)), cfa)
 
 
-def _from_channels_last(image: Array) -> Array:
-    channels, height, width = image.shape
-    return image.reshape(height, width, channels).transpose(2, 0, 1)
-
-
 # --- curves between true and predicted values -------------------------------------------------------------------------
 
 # A smaller factor cannot be told from an error of brightness, and below it every DNG's values are whole DN too.
@@ -311,7 +291,7 @@ class _Curve:
     remains: float = _REMAINS
 
     def is_scale_within(self, factor: float) -> bool:
-        """Return whether it is only a factor, and one nearer to 1 than this."""
+        """Tell whether the curve is only a factor, and nearer to 1 than this."""
         return self.scale is not None and 1 / factor < self.scale < factor
 
 
@@ -444,7 +424,7 @@ _SAME_ERRORS = 0.99
 
 
 def is_copied_input(p: NDArray[np.float32], g: NDArray[np.float32], blocks: Blocks, now: Circumstances) -> bool:
-    """Return whether a prediction is the noisy input, amplified: of whole DN, and with the errors of the input.
+    """Tell whether a prediction is the amplified noisy input: of whole DN, and with the input's errors.
 
     Parameters
     ----------
@@ -459,7 +439,7 @@ def is_copied_input(p: NDArray[np.float32], g: NDArray[np.float32], blocks: Bloc
 
 
 def _is_of_whole_dn(p: NDArray[np.float32], now: Circumstances) -> bool:
-    """Return whether values, divided by the factor, are whole DN; it spares reading the noisy file of most frames."""
+    """Tell whether values, divided by the factor, are whole DN; this spares reading most noisy files."""
     if now.sensor is None or now.ratio is None or now.ratio < _LEAST_RATIO:
         return False
     values = p[(p > 0) & (p < 1)][: 8 * _LEAST_VALUES].astype(np.float64)

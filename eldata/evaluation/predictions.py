@@ -8,19 +8,16 @@ bits, or RGB arrays; of the mosaic's size under ``sid2018``, else of a pixel for
 
 from __future__ import annotations
 
-import math
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from eldata.base.arrays import declared_array, read_array
+from eldata.base.arrays import read_array
 from eldata.base.files import atomic_write, file_problem
 from eldata.errors import ArgumentError, PredictionError, RawFileError
 from eldata.evaluation.layouts import stem_of
-from eldata.protocols.named import protocols_for
 from eldata.raw.levels import pack, packed_shape, with_levels
 from eldata.sources.frames import Frame
 
@@ -28,11 +25,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.arrays import Declared
-    from eldata.evaluation.layouts import FoundPredictions
-    from eldata.manifest.catalogue import Manifest
     from eldata.manifest.clips import ClipRecord
-    from eldata.protocols.protocol import Levels, Protocol
-    from eldata.records import FrameRecord, Sensor
+    from eldata.protocols.protocol import Levels
+    from eldata.records import Sensor
 
 # A prediction near [0, 1] has next to nothing above 2, even where it is an amplified noisy frame with hot pixels.
 _SCALE_LIMIT = 2.0
@@ -169,50 +164,6 @@ def load_colours(
     return values
 
 
-Look = Literal["raw", "binned", "whole"]
-"""What predictions look to be: packed raw or mosaics, or renderings of a pixel for each packed one, or for each."""
-
-LOOKS: dict[Look, str] = {
-    "raw": "raw frames",
-    "binned": "renderings in sRGB of a pixel for each packed one",
-    "whole": "renderings in sRGB",
-}
-
-
-def _wanted_look(protocol: Protocol) -> Look:
-    """Return what a protocol's predictions look to be: LibRaw's renderings are demosaiced, the ELD paper's binned."""
-    return "raw" if protocol.pixels != "srgb" else "binned" if protocol.is_of_packed else "whole"
-
-
-def _look_of(file: Path, record: FrameRecord) -> Look:
-    """Return what a prediction looks to be by its shape; raises PredictionError if it cannot be read."""
-    shape = () if file.suffix.lower() == ".dng" else declared_array(file).shape
-    if len(shape) != 3 or 3 not in (shape[0], shape[-1]):
-        return "raw"
-    return "binned" if 2 * math.prod(shape) < 3 * (record.width or 0) * (record.height or 0) else "whole"
-
-
-def describe_other_look(protocol: Protocol, found: FoundPredictions, manifest: Manifest, folder: Path) -> str | None:
-    """Return why a protocol can score none of the predictions in a folder, and which can; ``None`` if it can."""
-    frames = {record.path: record for record in manifest.records}
-    wanted, looks = _wanted_look(protocol), []
-    for place, file in found.files.items():
-        with suppress(PredictionError):  # it will be among the problems
-            looks.append(_look_of(file, frames[place]))
-            is_known = frames[place].width is not None and frames[place].height is not None
-            if looks[-1] == wanted or (not is_known and "raw" not in (wanted, looks[-1])):
-                return None
-    if not looks:
-        return None
-    takers = [one for one in protocols_for(manifest.name) if _wanted_look(one) == looks[0]]
-    takers = [one for one in takers if one.rendering == protocol.rendering] or takers
-    names = " or ".join(one.name for one in takers)
-    advice = f"give protocol {names}" if names else "give a protocol that scores them: eldata protocols lists all"
-    first = next(iter(found.files.values())).relative_to(folder)
-    these = f"{LOOKS[looks[0]]}, such as {first}"
-    return f"protocol {protocol.name} scores {LOOKS[wanted]}, and these are {these}; {advice}"
-
-
 def _check_raw(path: Path, sensor: Sensor, declared: Declared) -> None:
     """Refuse what is neither packed nor a mosaic like the reference, of numbers that have a scale."""
     _check_type(path, declared)
@@ -227,6 +178,8 @@ def _check_raw(path: Path, sensor: Sensor, declared: Declared) -> None:
         hint = "it is channels-last: transpose(2, 0, 1) it"
     elif len(declared.shape) == 4 and declared.shape[0] == 1:
         hint = "drop the batch dimension: save prediction[0]"
+    elif len(declared.shape) == 3 and 3 in (declared.shape[0], declared.shape[-1]):
+        hint = "renderings in sRGB? this protocol takes raw frames; eldata protocols lists those that take renderings"
     raise PredictionError(
         path, f"expected shape {shape} (packed) or {mosaic_shape} (mosaic), found {declared.shape}; {hint}"
     )

@@ -278,7 +278,7 @@ def comparison_table(
 
 
 def _why_not(row: PublishedRow, mine: EvaluationResult) -> str | None:
-    """Say why a published number does not compare with a result; ``None`` if it does."""
+    """Explain why a published number does not compare with a result; ``None`` if it does."""
     if not row.protocols:
         return f"under no protocol that is known for certain: {row.note}"
     differences = [mine.scored_unlike(PROTOCOLS[name]) for name in row.protocols if name in PROTOCOLS]
@@ -345,7 +345,7 @@ def _tables_by_place(
 def _input_check(
     published: list[PublishedRow], reasons: dict[PublishedRow, str | None], mine: EvaluationResult
 ) -> list[str]:
-    """Return whether the noisy input's own scores are the published ones: a sentence per group, and what follows."""
+    """Compare the noisy input's own scores with the published ones: a sentence per group, and what follows."""
     published = [row for row in published if row.protocols]
     if not published:
         return [f"the noisy input: no published score of it on {mine.dataset} is known, so this checks nothing"]
@@ -372,18 +372,11 @@ def _agreement(row: PublishedRow, mean: TableRow) -> str:
 
 def _what_follows(beside: list[tuple[PublishedRow, TableRow]]) -> str:
     off = [row for row, mean in beside if not _is_within(_NEAR, row, mean)]
-    again = "unpack or fetch them again and compare"
-    if not off and all(_is_within(_AS_PUBLISHED, row, mean) for row, mean in beside):
-        return "so these files, their levels and ratios and the metric are those of the published evaluation"
     if not off:
-        return (
-            "so files, levels, ratios and metric seem right: every mistake that was tried moves these scores more. "
-            "What is left is as small as other margins of the frame, of another release of LibRaw"
-        )
+        return "so files, levels, ratios and metric are right: every mistake that was tried moves these scores more"
     if len(off) < len(beside):
-        return f"so levels and metric are right, and of {_places(off)} the files or the ratio are not: {again}"
-    shared = "the black or white level that LibRaw states, or the metric"
-    return f"so what all factors share is not as published: {shared}; else all of the files ({again})"
+        return f"so levels and metric are right, and of {_places(off)} the files or the ratio are not: fetch them again"
+    return "so what all factors share is not as published: the levels that LibRaw states, the metric, or all files"
 
 
 def _differences(row: PublishedRow, mean: TableRow) -> tuple[float, ...]:

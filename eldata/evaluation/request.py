@@ -103,7 +103,7 @@ class Request:
         return FrameFiles.of(self.folder, self.manifest.card, self.manifest.records)
 
     def workers_for(self, pairs: Collection[Pair]) -> Workers:
-        """Return who scores some pairs: this process, where it takes less time than starting others does."""
+        """Choose the workers that score some pairs: this process alone where starting others would take longer."""
         if self.workers.executor is not None or self.kind is not IMAGES or self.task is not None:
             return self.workers
         seconds = _PAIR_S * len(pairs)
@@ -192,7 +192,7 @@ def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Pro
     wrong = f"is for dataset {chosen.dataset!r}, not {manifest.name!r}"
     if chosen.kind is not default.kind:
         wrong = f"scores {chosen.kind.units}, and {manifest.name!r} is a dataset of {default.kind.units}"
-    own = ", ".join(one.name for one in protocols_for(manifest.name))
+    own = ", ".join(known.name for known in protocols_for(manifest.name))
     raise ArgumentError(f"protocol {chosen.name!r} {wrong}; its protocols are {own}")
 
 

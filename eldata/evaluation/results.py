@@ -39,7 +39,6 @@ from eldata.evaluation.tasks import stated_figure
 from eldata.metrics.registry import CLIPS, IMAGES
 from eldata.protocols.protocol import CHOOSING, NO_SHADING, OF_INPUT, StatedProtocol
 from eldata.protocols.words import comparability
-from eldata.records import PairRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -153,21 +152,6 @@ class EvaluationResult:
         return self.protocol.digest
 
     @property
-    def pairs(self) -> tuple[PairRecord, ...]:
-        """The pairs that were to be scored, of a set of images."""
-        return tuple(unit for unit in self.units if isinstance(unit, PairRecord))
-
-    @property
-    def images(self) -> tuple[UnitScore, ...]:
-        """The scores, of a set of images."""
-        return self.scores
-
-    @property
-    def videos(self) -> tuple[UnitScore, ...]:
-        """The scores, of a set of clips."""
-        return self.scores
-
-    @property
     def scored(self) -> int:
         """How many were scored."""
         return len(self.scores)
@@ -186,11 +170,6 @@ class EvaluationResult:
     def ssim(self) -> float:
         """SSIM, mean over all."""
         return self.whole.ssim
-
-    @property
-    def st_rred(self) -> float:
-        """ST-RRED of clips, mean over all; lower is better."""
-        return self.whole.st_rred
 
     @property
     def chosen(self) -> frozenset[str]:
@@ -469,7 +448,7 @@ def _read_result(top: Fields) -> EvaluationResult:
         missing=coverage.texts("missing"),
         problems=tuple(_read_record(EvaluationProblem, problem) for problem in top.objects("problems")),
         notes=top.texts("notes"),
-        suspicions=tuple(_read_record(Suspicion, one) for one in top.objects("suspicions", missing_ok=True)),
+        suspicions=tuple(_read_record(Suspicion, mistake) for mistake in top.objects("suspicions", missing_ok=True)),
         source=str(top.file.name),
     )
 

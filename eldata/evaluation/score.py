@@ -205,7 +205,7 @@ def _plan_units(files: FrameFiles, pairs: Sequence[Pair], predictions: Sequence[
 
 
 def _is_whole(pair: Pair, predictions: Predictions) -> bool:
-    """Return whether each frame of a pair has its prediction."""
+    """Tell whether each frame of a pair has its prediction."""
     return predictions is None or all(pair.place(frame) in predictions for frame in pair.frames)
 
 
@@ -303,7 +303,7 @@ def _score_pair(
         del reference  # before the next one is decoded
     if outcome.problems:
         return PairOutcome(pair.path, problems=outcome.problems)
-    means = {name: mean([one[name] for one in values]) for name in values[0]}
+    means = {name: mean([frame[name] for frame in values]) for name in values[0]}
     iso = float(pair.iso or 0)
     outcome.score = UnitScore(pair.path, pair.camera, pair.scene, iso, pair.nominal_ratio, means)
     if isinstance(pair, ClipRecord) and isinstance(protocol, ClipProtocol) and grey is not None:
@@ -318,7 +318,7 @@ def _score_frame(how: Scoring, path: str, prediction: Image, reference: Referenc
 
     frame, target = reference
     score = score_image(how, frame, prediction, target)
-    named = {one.name for one in fields(Score)}
+    named = {field.name for field in fields(Score)}
     metrics = [figure for figure in OF_FRAMES.values() if figure.name not in named]
     others = {}
     if metrics:
@@ -517,7 +517,7 @@ def _find_factor(how: Scoring, prediction: Image, target: Image) -> float:
 
 
 def _is_rendered(protocol: Protocol) -> bool:
-    """Return whether raw predictions are compared as renderings."""
+    """Tell whether raw predictions are compared as renderings."""
     return protocol.rendering == "eld-isp" and protocol.pixels == "packed"
 
 

@@ -57,16 +57,6 @@ class Valued:
         return self.values["ssim"]
 
     @property
-    def st_rred(self) -> float:
-        """ST-RRED of clips; lower is better."""
-        return self.values["st_rred"]
-
-    @property
-    def task(self) -> float:
-        """The value of a task of the user's own, where one was asked for."""
-        return self.values["task"]
-
-    @property
     def rescale(self) -> float:
         """The factor that the protocol multiplied a prediction by; 1 if it does not rescale."""
         return self.values["rescale"]
@@ -188,7 +178,7 @@ class TableRow(Valued):
     values: dict[str, float]
 
     def holds(self, score: UnitScore) -> bool:
-        """Return whether a score is of this group."""
+        """Tell whether a score belongs to this group."""
         return self.camera in (None, score.camera) and self.ratio in (None, score.ratio)
 
     @property
@@ -310,51 +300,29 @@ def cameras_in_order(cameras: Iterable[str], dataset: str) -> list[str]:
 # --- problems in words ------------------------------------------------------------------------------------------------
 
 
-_LINES_SHOWN = 20  # of problems
-
-
-_ALIKE = 3  # of one reason stand together
-
-
-_NAMES_SHOWN = 6
+_LINES_SHOWN, _NAMES_SHOWN = 20, 6
 
 
 def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
-    """Return problems as lines of text, the first of many; those that are alike stand together, by folder."""
+    """Return problems as lines of text, the first of many; those that are alike stand together."""
     alike: dict[str, list[str]] = {}
     for problem in problems:
         alike.setdefault(problem.reason, []).append(problem.path)
     lines: list[str] = []
     shown = 0
     for reason, paths in alike.items():
-        if len(paths) < _ALIKE:
-            rows = [(1, str(EvaluationProblem(path, reason))) for path in paths]
+        if len(lines) >= _LINES_SHOWN:
+            return [*lines, f"... and {len(problems) - shown} more (--json FILE lists all)"]
+        if len(paths) == 1:
+            lines.append(in_line(f"{paths[0]}: {reason}"))
         else:
-            lines += [in_line(f"{len(paths)} alike: {reason}")] if len(lines) < _LINES_SHOWN else []
-            rows = _by_folder(paths)
-        for count, row in rows[: max(_LINES_SHOWN - len(lines), 0)]:
-            lines.append(row)
-            shown += count
-    if shown < len(problems):
-        lines.append(f"... and {len(problems) - shown} more (--json FILE lists all)")
+            more = f" and {len(paths) - _NAMES_SHOWN} more" if len(paths) > _NAMES_SHOWN else ""
+            names = in_line(f"  {', '.join(paths[:_NAMES_SHOWN])}{more}")
+            lines += [in_line(f"{len(paths)} alike: {reason}"), names]
+        shown += len(paths)
     return lines
 
 
-def _by_folder(paths: Sequence[str]) -> list[tuple[int, str]]:
-    """Return a line for each folder that files are in, the first of many by name, and how many they are."""
-    folders: dict[str, list[str]] = {}
-    for path in paths:
-        folder, _, name = path.rpartition("/")
-        folders.setdefault(folder, []).append(name)
-    rows = []
-    for folder, names in folders.items():
-        more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
-        rows.append(
-            (len(names), in_line(f"  {folder + ': ' if folder else ''}{', '.join(names[:_NAMES_SHOWN])}{more}"))
-        )
-    return rows
-
-
 def nothing_scored(problems: Sequence[EvaluationProblem]) -> str:
-    """Return that nothing was scored, in a line."""
+    """State in one line that nothing was scored."""
     return f"nothing was scored: {counted(len(problems), 'problem')}"

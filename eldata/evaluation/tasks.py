@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import numbers
 import pickle
 import sys
 import traceback
@@ -17,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from eldata.base.arrays import is_tensor
 from eldata.base.fields import named_object
 from eldata.base.files import sha256_of
 from eldata.base.numbers import Figure
@@ -79,16 +77,10 @@ class Task:
             object.__setattr__(self, "label", self.place.rpartition(":")[2].rpartition(".")[2])
         if len(self.label) > _LONGEST_LABEL or in_line(self.label) != self.label:
             raise ArgumentError(f"a task's label is one line of at most {_LONGEST_LABEL} characters: {self.label!r}")
-        try:
-            inspect.signature(self.function).bind(None, None)
-        except ValueError:  # compiled code need not state it
-            return
-        except TypeError as error:
-            raise ArgumentError(f"{self.place} cannot be called with (prediction, reference): {error}") from error
 
     @classmethod
     def of(cls, given: Task | TaskFunction | str) -> Task:
-        """Return what the argument ``task`` means: a task, a function with the defaults, or the name of either.
+        """Resolve the argument ``task``: a task, a function with the defaults, or the name of either.
 
         Raises
         ------
@@ -147,23 +139,19 @@ class Task:
         """
         try:
             made: Any = self.function(*(np.array(image, np.float32) for image in shown))
+            value = math.nan if isinstance(made, str) else float(made)
         except Exception as error:  # whatever a function of somebody's own raises is this frame's problem
             place = traceback.extract_tb(error.__traceback__)[-1]
             said = in_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
             where = f"{Path(place.filename).name}, line {place.lineno}"
             raise FileError(path, f"the task {self.place} raised {said} ({where})") from error
-        if is_tensor(made):
-            made = made.detach().cpu().numpy()
-        if isinstance(made, (np.ndarray, np.generic)) and made.ndim == 0:
-            made = made.item()
-        if not isinstance(made, numbers.Real) or not math.isfinite(made):
-            found = repr(made) if isinstance(made, numbers.Real) else type(made).__name__
-            raise FileError(path, f"the task {self.place} returned {found}; expected a finite number")
-        return float(made)
+        if not math.isfinite(value):
+            raise FileError(path, f"the task {self.place} returned {in_line(repr(made))}; expected a finite number")
+        return value
 
 
 def stated_figure(stated: Mapping[str, Any]) -> Figure:
-    """Return what is said of a task's values, by what a result's provenance states of it."""
+    """Describe a task's column by what a result's provenance states of the task."""
     return Figure(
         name="task",
         label=stated["label"],
@@ -176,7 +164,7 @@ def stated_figure(stated: Mapping[str, Any]) -> Figure:
 
 
 def task_note(task: Mapping[str, Any]) -> str:
-    """Return what a task's column holds."""
+    """Describe the values of a task's column in a line."""
     source = f" ({short_digest(task['source_sha256'])})" if task["source_sha256"] else ""
     images = {"compared": "what the protocol compares", "packed": "packed raw", "srgb": "renderings in sRGB"}
     better = "higher" if task["higher_is_better"] else "lower"

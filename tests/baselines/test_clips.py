@@ -191,8 +191,8 @@ def test_frames_by_themselves_and_raw_clips(tmp_path: Path) -> None:
     assert (report.written, report.problems) == (10, ())
     ours = evaluate(tmp_path / "p", ids=CLIPS, **options)
     theirs = evaluate(None, baseline="input", ids=CLIPS, **options)
-    assert [one.psnr_db for one in ours.videos] == [one.psnr_db for one in theirs.videos]
-    assert [one.st_rred for one in ours.videos] == [one.st_rred for one in theirs.videos]
+    assert [one.psnr_db for one in ours.scores] == [one.psnr_db for one in theirs.scores]
+    assert [one.values["st_rred"] for one in ours.scores] == [one.values["st_rred"] for one in theirs.scores]
 
     window = load_network(f"{HERE}:later", window=3, device="cpu", multiple=1)
     write_predictions(window, "", tmp_path / "w", clip="none", ids=["0007"], **options)
@@ -260,7 +260,7 @@ def test_a_clip_that_was_begun_goes_on_frame_by_frame(drv: SmallDrv, tmp_path: P
     files[7].unlink()
     report = write_predictions(load_network(f"{HERE}:later", window=3, multiple=1), "", out, **of_set(drv))
     assert (report.written, report.kept) == (2, 8)
-    assert len(evaluate(out, **of_set(drv)).videos) == 2
+    assert len(evaluate(out, **of_set(drv)).scores) == 2
     assert [file.read_bytes() for file in files] == [content for _, content in before]
     kept = [k for k in range(10) if k not in (2, 7)]
     assert [files[k].stat().st_mtime_ns for k in kept] == [before[k][0] for k in kept]

@@ -69,7 +69,7 @@ def test_the_input_scores_as_the_input(tree: Tree, tmp_path: Path) -> None:
     assert (report.written, report.kept, report.problems) == (12, 0, ())
     ours = evaluate(tmp_path / "p", manifest=tree.csv, root=tree.root)
     theirs = evaluate(None, manifest=tree.csv, root=tree.root, baseline="input")
-    assert [one.psnr_db for one in ours.images] == [one.psnr_db for one in theirs.images]
+    assert [one.psnr_db for one in ours.scores] == [one.psnr_db for one in theirs.scores]
 
 
 def test_the_command_offers_every_baseline() -> None:

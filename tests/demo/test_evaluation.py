@@ -47,7 +47,7 @@ def test_the_whole_path(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     assert set(results) == {"amplified", "dct", "network"}
     for result in results.values():
         assert not result.problems
-        assert len(result.images) == len(result.pairs) == 12
+        assert len(result.scores) == len(result.units) == 12
     assert len(list((folder / "data").rglob("*.dng"))) == 32
     assert (folder / "manifests" / "eld-demo.csv").is_file()
     assert not list(folder.rglob("*.part"))

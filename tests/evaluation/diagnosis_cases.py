@@ -1,13 +1,10 @@
 """Predictions with a known mistake, and honest ones: frames of simulated cameras, denoisers, and what goes wrong.
 
-Nothing is written: each frame is photographed, packed, denoised and scored in memory. ``python -m
-tests.evaluation.diagnosis_cases [SEED...]`` prints what docs/evaluation.md sums up.
+Nothing is written: each frame is photographed, packed, denoised and scored in memory.
 """
 
 from __future__ import annotations
 
-import itertools
-import sys
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache, partial
@@ -218,7 +215,6 @@ HONEST_INPUTS: tuple[tuple[str, Clip], ...] = (
     *((name, "both") for name in HONEST),
     *((name, "none") for name in DENOISERS),
 )
-RAW_PROTOCOLS = ("eld", "eld-uncorrected", "led-eld", "lrd-eld")
 PLANTED_IN = ("sliding DCT", "Gaussian, sigma 1", "the reference and noise of 0.003")
 
 
@@ -302,10 +298,6 @@ OF_BAYER: dict[str, tuple[Making, str]] = {
     "packed as if BGGR": (_reordered(2, 3, 0, 1), "as if packed B, G2, R, G1"),
     "packed as if GRBG": (_reordered(1, 0, 3, 2), "as if packed G1, R, G2, B"),
     "packed as if GBRG": (_reordered(3, 2, 1, 0), "as if packed G2, B, G1, R"),
-    "mosaic flipped left to right": (
-        _in_mosaic(lambda mosaic: mosaic[:, ::-1]),
-        "as if flipped left to right and packed G1, R, G2, B",
-    ),
 }
 OF_XTRANS: dict[str, tuple[Making, str]] = {
     "R and B exchanged": (
@@ -318,13 +310,6 @@ OF_PLACE: dict[str, tuple[Making, str]] = {
     "shifted by (0, -1)": (_shifted(0, -1), f"as if shifted by (0, -1) {_PIXELS}"),
     "shifted by (2, 1)": (_shifted(2, 1), f"as if shifted by (2, 1) {_PIXELS}"),
     "shifted by (-2, 2)": (_shifted(-2, 2), f"as if shifted by (-2, 2) {_PIXELS}"),
-    "flipped left to right": (_alone(lambda p: p[:, :, ::-1]), "as if flipped left to right"),
-    "flipped upside down": (_alone(lambda p: p[:, ::-1]), "as if flipped upside down"),
-    "turned by 180 degrees": (_alone(lambda p: p[:, ::-1, ::-1]), "as if turned by 180 degrees"),
-    "reshaped from (h, w, C)": (
-        _alone(lambda p: np.ascontiguousarray(p.transpose(1, 2, 0)).reshape(p.shape)),
-        "as if reshaped from (h, w, C), not transposed",
-    ),
 }
 OF_MOSAIC: dict[str, tuple[Making, str]] = {
     "mosaic shifted by (1, 0)": (
@@ -446,24 +431,3 @@ def accused(camera: str, seed: int, protocol: str, denoiser: str, clip: Clip) ->
     if seed % 2:
         shots = photographs(camera, seed, ratios=(1, 10, 300), isos=(100, 1600, 12800))
     return suspicions(shots, PROTOCOLS[protocol], lambda shot: predicted(shot, protocol, denoiser, clip))
-
-
-def count_outcomes(seeds: Sequence[int]) -> str:
-    """What docs/evaluation.md sums up."""
-    costly = [
-        found
-        for camera, seed, protocol, denoiser in itertools.product(SIMULATED, seeds, RAW_PROTOCOLS, PLANTED_IN)
-        for mistake in mistakes_of(camera, PROTOCOLS[protocol])
-        if (found := planted(camera, seed, protocol, denoiser, mistake)).cost_db >= 1
-    ]
-    said = [
-        accused(camera, number + seed, protocol, denoiser, clip)
-        for (number, camera), seed in itertools.product(enumerate(SIMULATED), seeds)
-        for protocol, (denoiser, clip) in itertools.product((*RAW_PROTOCOLS, "sid2018"), HONEST_INPUTS)
-    ]
-    named = sum(outcome.named for outcome in costly)
-    return f"named {named} of {len(costly)} mistakes, accused {sum(map(bool, said))} of {len(said)} honest predictions"
-
-
-if __name__ == "__main__":
-    print(count_outcomes([int(seed) for seed in sys.argv[1:]] or [0]))

@@ -100,12 +100,12 @@ def place(
     return written
 
 
-def assert_equal(result: EvaluationResult, of: Callable[[PairRecord], Score]) -> None:
+def assert_equal(result: EvaluationResult, of: Callable[[Any], Score]) -> None:
     """Hold each score and factor against those of another route, to 1e-6 dB, and 1e-6."""
     assert not result.problems
-    assert len(result.images) == len(result.pairs) > 0
+    assert len(result.scores) == len(result.units) > 0
     off = []
-    for pair, image in zip(result.pairs, result.images, strict=True):
+    for pair, image in zip(result.units, result.scores, strict=True):
         score = of(pair)
         factor = 1.0 if np.isnan(score.factor) else score.factor
         off.append((image.psnr_db - score.psnr_db, image.ssim - score.ssim, image.rescale - factor))

@@ -70,7 +70,7 @@ def scored(own: OwnSet, protocol: str) -> EvaluationResult:
 
 
 def figures(result: EvaluationResult) -> list[tuple[str, float, float]]:
-    return [(one.path.partition(".")[0], one.psnr_db, one.ssim) for one in result.images]
+    return [(one.path.partition(".")[0], one.psnr_db, one.ssim) for one in result.scores]
 
 
 @pytest.mark.parametrize("which", ["*/clean.dng", "*/*.dng"], ids=["references", "all"])
@@ -92,7 +92,7 @@ def test_shares_of_white_score_the_same_and_no_bright_pixel_matters(own: OwnSet,
 def test_shares_of_white_are_not_scored_against_a_white_level_in_dn(own: OwnSet, tmp_path: Path) -> None:
     shares = rewritten(own, tmp_path, "*/clean.dng", scale=15300)
     result = scored(shares, "eld")
-    assert result.images == ()
+    assert result.scores == ()
     reasons = {str(problem) for problem in result.problems}
     assert len(reasons) == 2
     assert all(

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from eldata.base.arrays import NpyError, decode_png, read_npy_header
-from eldata.evaluation.layouts import find_predictions
 from tests.evaluation import hostile_predictions as hostile
 from tests.evaluation.prediction_files import LARGE, SMALL, write_awkward
 from tests.waiting import PATIENCE_S
@@ -120,19 +119,6 @@ def test_a_changed_header_is_an_error_or_a_header() -> None:
             read_npy_header(io.BytesIO(content))
             read += 1
     assert 0 < read < 4000
-
-
-# --- finding ----------------------------------------------------------------------------------------------------------
-
-
-def test_thousands_of_foreign_files_are_counted(tmp_path: Path) -> None:
-    for number in range(3000):
-        (tmp_path / f"{number:04d}.npy").touch()
-    found = find_predictions(tmp_path, ["a/b.dng"], ["a/b.dng"])
-    assert [problem.path for problem in found.problems[:2]] == ["0000.npy", "0001.npy"]
-    assert len(found.problems) == 102  # and one that is missing
-    assert found.problems[100].path == str(tmp_path)
-    assert "2900 more files" in found.problems[100].reason
 
 
 # --- memory -----------------------------------------------------------------------------------------------------------

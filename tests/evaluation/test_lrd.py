@@ -29,12 +29,12 @@ def test_the_first_subset_is_scored_in_one_group(tmp_path: Path) -> None:
     for record in (record for record in records if record.role == "noisy"):
         save_prediction(tmp_path / "preds", record.path, generator.random(shape, np.float32))
     result = evaluate(tmp_path / "preds", "lrd", root=tmp_path)
-    assert (result.protocol.name, len(result.images), result.problems) == ("lrd-lrd", 60, ())
-    assert {pair.path.split("_")[1] for pair in result.pairs} == {"03"}
-    assert len({pair.ratio for pair in result.pairs}) == 27  # datalist/LRD_test_list.txt, -3EV
+    assert (result.protocol.name, len(result.scores), result.problems) == ("lrd-lrd", 60, ())
+    assert {pair.path.split("_")[1] for pair in result.units} == {"03"}
+    assert len({pair.ratio for pair in result.units}) == 27  # datalist/LRD_test_list.txt, -3EV
     (row,) = result.table
     assert (row.camera, row.ratio, row.pairs) == (None, None, 60)
-    mean = math.fsum(image.psnr_db for image in result.images) / 60
+    mean = math.fsum(image.psnr_db for image in result.scores) / 60
     assert row.values["psnr_db"] == pytest.approx(mean, rel=1e-12)
 
 

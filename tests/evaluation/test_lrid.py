@@ -5,23 +5,19 @@ from __future__ import annotations
 import re
 import zlib
 from collections import Counter
-from dataclasses import replace
-from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from eldata.calibration.camera import calibrate
-from eldata.calibration.shading_fit import dark_shading
-from eldata.datasets import CalibrationFrames, LRIDDataset
+from eldata.datasets import LRIDDataset
 from eldata.evaluation import evaluate, save_prediction
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.verify import verify
 from eldata.raw.reading import read_raw
 from tests.evaluation.helpers import assert_equal
 from tests.evaluation.published_code import BAYER
-from tests.lrid_tree import DARK_MS, SENSOR, write_frames
+from tests.lrid_tree import SENSOR, write_frames
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,7 +44,7 @@ def lrid(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("subset", COUNTS)
 def test_the_input_has_the_scores_of_the_published_arithmetic(subset: str, protocol: str, lrid: Path) -> None:
     result = evaluate(None, "lrid", root=lrid, baseline="input", subset=subset, protocol=protocol)
-    assert len(result.images) == COUNTS[subset]
+    assert len(result.scores) == COUNTS[subset]
     files = lrid / "LRID"
     assert_equal(result, lambda pair: BAYER[protocol].of_input(files / pair.path, files / pair.reference))
     assert any("black 64, white 1023 was taken for every file" in note for note in result.notes), "not the file's"
@@ -65,7 +61,7 @@ def test_predictions_have_the_scores_of_the_published_arithmetic(lrid: Path) -> 
         save_prediction(lrid / "preds", record.path, mosaics[record.path])
     result = evaluate(lrid / "preds", "lrid", root=lrid)
     assert result.protocol.name == "pmn-lrid"
-    assert len(result.images) == COUNTS["indoor-first"], "the first subset is that of --mode eval"
+    assert len(result.scores) == COUNTS["indoor-first"], "the first subset is that of --mode eval"
     assert_equal(result, lambda pair: ROUTE.of_prediction(mosaics[pair.path], files / pair.reference))
     assert not any("taken for every file" in note for note in result.notes), "the card's levels are those"
 
@@ -99,21 +95,3 @@ def test_files_verify_but_for_those_that_are_not_there(lrid: Path) -> None:
         ("folder", "no such folder"),
         ("file", "nothing"),
     }
-
-
-def test_dark_frames_make_the_dark_shading(tmp_path: Path) -> None:
-    """Those of the usual sensor alone, which come off the noisy frames of the set."""
-    records = shipped_manifest("lrid").records
-    pair = next(r for r in records if r.scene == "indoor_x5-004" and r.role == "noisy")
-    wanted = [r for r in records if r.role == "bias" or r.path in (pair.path, pair.reference)]
-    write_frames(tmp_path, wanted, replace(SENSOR, height=256, width=256))
-    frames = CalibrationFrames(tmp_path, manifest="lrid")
-    assert (frames.camera, frames.isos, len(frames)) == ("IMX686", (Fraction(6400),), len(DARK_MS))
-    assert {record.path.partition("/")[0] for record in frames.records} == {"bias"}
-    shading = dark_shading(frames, calibrate(frames))
-    chosen: dict[str, Any] = {"split": "eval", "scenes": ["indoor_x5-004"], "ratios": [1]}
-    plain, corrected = (
-        LRIDDataset(tmp_path, dark_shading=one, **chosen)[0]["input"].numpy() * 959 for one in (None, shading)
-    )
-    whole = np.mean([frames[index]["mosaic"] for index in range(len(frames))], axis=0)
-    assert np.corrcoef((plain - corrected)[0].mean(axis=0), whole[0::2, 0::2].mean(axis=0))[0, 1] > 0.99

@@ -15,7 +15,7 @@ import pytest
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 from eldata.evaluation import evaluate, save_prediction
-from eldata.evaluation.evaluate import perform
+from eldata.evaluation.evaluate import perform_each
 from eldata.evaluation.published import comparison_table
 from eldata.evaluation.request import make_request
 from eldata.manifest.card import Subset, save_card
@@ -113,7 +113,7 @@ def test_names_that_share_a_score(sony: tuple[Path, Path]) -> None:
     root, preds = sony
     sid, pmn = (evaluate(preds, "sid-sony", root=root, protocol=name) for name in ("sid", "pmn-sid"))
     assert sid.scored == 129
-    assert sid.images == pmn.images
+    assert sid.scores == pmn.scores
     assert sid.scored_unlike(pmn) == []
     assert pmn.provenance["equal_choices"] == {"levels": ["published", "sid-sony"]}
     assert not pmn.notes
@@ -242,7 +242,7 @@ def test_a_set_with_all_of_the_protocols_factors_is_scored_at_them(
     result = evaluate(preds, **own.where, protocol="eld")
     assert result.provenance["ratios"] == scored
     assert result.provenance["set_aside"] == set_aside
-    assert {image.ratio for image in result.images} == set(scored)
+    assert {image.ratio for image in result.scores} == set(scored)
 
 
 @pytest.mark.parametrize(
@@ -275,7 +275,7 @@ def test_what_a_protocol_of_ones_own_chooses_is_applied_or_refused(
     result = evaluated()
     assert result.provenance["set_aside"] == (found if isinstance(found, list) else [])
     if isinstance(found, set):
-        assert {f"{image.camera}/{image.scene}" for image in result.images} == found
+        assert {f"{image.camera}/{image.scene}" for image in result.scores} == found
     if "cameras" in stated:
         with pytest.raises(ArgumentError, match="protocol 'mine' scores DemoBeta, not DemoAlpha"):
             evaluated(cameras=["DemoAlpha"])
@@ -304,7 +304,7 @@ def test_a_reference_that_cannot_be_decoded_is_the_problem_of_its_pairs(tmp_path
     assert "its reference s0/clean.dng cannot be used: damaged: its last row" in str(found.problems[0])
     assert found.scored == 0
     rest = evaluate(tmp_path / "p", **own.where, allow_missing=True)
-    assert [image.scene for image in rest.images] == ["s1", "s1"]
+    assert [image.scene for image in rest.scores] == ["s1", "s1"]
     assert rest.problems == found.problems
 
 
@@ -313,7 +313,7 @@ def test_a_noisy_frame_that_cannot_be_decoded_is_the_problem_of_its_pair(tmp_pat
     spoil_pixels(own.files / "s0/x50.dng")
     found = evaluate(None, **own.where, baseline="input", allow_missing=True)
     assert [problem.path for problem in found.problems] == [str(own.files / "s0/x50.dng")]
-    assert [image.ratio for image in found.images] == [100]
+    assert [image.ratio for image in found.scores] == [100]
 
 
 # --- errors of our own ------------------------------------------------------------------------------------------------
@@ -329,7 +329,7 @@ def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Pa
     clips = make_request(None, "", None, manifest=drv.csv, root=drv.root, ids=["0007"], baseline="input")
     for request, protocol, unit in zip((images, clips), broken, ("s0/clean.dng", "long/0007/"), strict=True):
         with pytest.raises(TypeError) as caught:
-            perform(replace(request, protocol=protocol, workers=Workers(1)))
+            perform_each([replace(request, protocol=protocol, workers=Workers(1))])
         assert any(
             note.startswith(f"while the predictions for the reference {unit}") for note in caught.value.__notes__
         )

@@ -84,7 +84,7 @@ def test_every_way_to_a_pair_has_the_same_shares_and_it_is_said_once(case: str, 
 
     for given in ({"predictions": None, "baseline": "input"}, {"predictions": tmp_path / "p"}):
         result = evaluate(protocol=UNSCALED, **given, **where)
-        assert result.images[0].psnr_db == pytest.approx(psnr_db, abs=0.005)
+        assert result.scores[0].psnr_db == pytest.approx(psnr_db, abs=0.005)
         assert sum(words in note for note in result.notes) == 1
     assert not any("white level is" in note for note in evaluate(None, protocol="eld", baseline="input", **where).notes)
     assert verify(csv, FIELD, level="metadata").format_text().count(words) == 1
@@ -160,7 +160,7 @@ def test_a_stated_black_that_is_wrong_is_a_finding_with_both(stated: int, psnr_d
     write_dng(tmp_path / "set" / NOISY, frame.mosaic, sensor, frame.exposure)
     csv = manifest_of(tmp_path / "set", tmp_path)
     result = evaluate(None, manifest=csv, root=tmp_path, protocol=UNSCALED, baseline="input")
-    assert result.images[0].psnr_db == pytest.approx(psnr_db, abs=0.01)
+    assert result.scores[0].psnr_db == pytest.approx(psnr_db, abs=0.01)
     (group,) = check(csv, tmp_path).groups
     (found,) = (one for one in group.measures if one.name == "offset")
     assert found.value == pytest.approx((520 - stated) / 1.5871, abs=0.31)  # five standard errors

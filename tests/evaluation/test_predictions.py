@@ -238,14 +238,14 @@ def test_with_a_bad_prediction_nothing_is_scored_or_the_rest(tree: Tree, alpha: 
     np.save(path, spoilt(np.nan))
     result = run(alpha, tree)
     assert [problem.path for problem in result.problems] == [str(path)]
-    assert result.images == ()
+    assert result.scores == ()
     assert str(path) in result.format_text()
     assert "nothing was scored" in result.format_text()
 
     rest = run(alpha, tree, allow_missing=True)
     assert [problem.path for problem in rest.problems] == [str(path)]
     assert rest.missing == (VICTIM,)
-    assert len(rest.images) == 5
+    assert len(rest.scores) == 5
 
 
 def test_bait(tmp_path: Path) -> None:
@@ -303,10 +303,10 @@ def test_extra_predictions_are_named(tree: Tree, alpha: Path) -> None:
     result = run(alpha, tree)
     assert sorted(problem.path for problem in result.problems) == extra
     assert all("noisy frame" in problem.reason for problem in result.problems)
-    assert result.images == ()
+    assert result.scores == ()
     allowed = run(alpha, tree, allow_missing=True)
     assert sorted(problem.path for problem in allowed.problems) == extra
-    assert len(allowed.images) == 6
+    assert len(allowed.scores) == 6
 
 
 def test_two_extensions_are_ambiguous(tree: Tree, alpha: Path) -> None:
@@ -316,11 +316,11 @@ def test_two_extensions_are_ambiguous(tree: Tree, alpha: Path) -> None:
     assert problem.path == VICTIM
     for word in ("expected one", "found 2", "IMG_0004.npy", "IMG_0004.tif", "keep one"):
         assert word in problem.reason
-    assert result.images == ()
+    assert result.scores == ()
     allowed = run(alpha, tree, allow_missing=True)
     assert allowed.missing == (VICTIM,)
     assert len(allowed.problems) == 1
-    assert len(allowed.images) == 5
+    assert len(allowed.scores) == 5
 
 
 def test_hidden_and_unrelated_files_are_ignored(tree: Tree, alpha: Path) -> None:
@@ -333,7 +333,7 @@ def test_hidden_and_unrelated_files_are_ignored(tree: Tree, alpha: Path) -> None
         (alpha / name).write_bytes(b"whatever")
     after = run(alpha, tree)
     assert not after.problems
-    assert after.images == before.images
+    assert after.scores == before.scores
     assert after.notes == before.notes
 
 
@@ -343,7 +343,7 @@ def test_predictions_of_other_factors_are_counted_in_a_note(tree: Tree, alpha: P
         np.save(alpha / f"DemoAlpha/scene-1/IMG_{number:04d}.npy", good())
     after = run(alpha, tree)
     assert not after.problems
-    assert after.images == before.images
+    assert after.scores == before.scores
     (note,) = set(after.notes) - set(before.notes)
     assert note.endswith("leaves their frames out: 3 predictions")
     assert "not scored" in after.format_text()
@@ -363,7 +363,7 @@ def test_a_few_hot_pixels_are_no_scale_problem(tree: Tree, alpha: Path) -> None:
     np.save(path, array)
     clamped = run(alpha, tree)
     assert not hot.problems
-    assert hot.images == clamped.images
+    assert hot.scores == clamped.scores
 
 
 @pytest.mark.parametrize("factor", [0.1, 1 / 255])

@@ -237,30 +237,6 @@ START = 'base = "eld"\nname = "mine"\ntitle = "My own"\n'
 RGB = START.replace("eld", "eld-raw2rgb", 1)
 
 
-def test_a_protocol_of_ones_own(tmp_path: Path) -> None:
-    path = written(
-        tmp_path,
-        START
-        + 'region = "border-8"\nratios = [100, 250.5]\ncameras = ["A"]\nmse_offset = 1e-8\n'
-        + 'ssim_window = "gaussian-11"\n',
-    )
-    found = load_protocol(path)
-    expected = replace(
-        PROTOCOLS["eld"],
-        name="mine",
-        title="My own",
-        region="border-8",
-        ratios=(100, 250.5),
-        cameras=("A",),
-        mse_offset=1e-8,
-        ssim_window="gaussian-11",
-    )
-    assert replace(found, source=expected.source) == expected
-    assert found.digest == expected.digest
-    assert found.source.startswith("mine.toml, after eld: K. Wei")
-    assert get_protocol(str(path)) == found
-
-
 def test_the_example_in_the_docs(tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / "docs" / "evaluation.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```toml mine\.toml\n(.*?)```", text, re.DOTALL)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -106,14 +105,6 @@ def test_a_mean_over_all_factors_of_the_only_camera() -> None:
     text = comparison_table(result_on("sid-sony", "sid2018", [row(None, None, 93, 28.5, 0.78)], "test-first"))
     assert order_in(text, "SonyA7S2 all factors") == ["SID", "yours"]
     assert "Which release of MATLAB" in compared(text)
-
-
-def test_infinity_and_nothing_are_read_as_the_json_has_them() -> None:
-    perfect = result_on("eld", "eld", [row("SonyA7S2", 100.0, 30, math.inf, 1.0)])
-    text = comparison_table(json.loads(json.dumps(perfect.as_dict(), allow_nan=False)))
-    assert order_in(text, "SonyA7S2 x100")[0] == "yours"
-    nothing = result_on("eld", "eld", [replace(row("SonyA7S2", 100.0, 30, math.nan, math.nan), scored=0)])
-    assert "yours has scores of 0 of 30 pairs" in comparison_table(json.loads(json.dumps(nothing.as_dict())))
 
 
 # --- where it does not --------------------------------------------------------------------------------------------
@@ -223,21 +214,6 @@ def result_of(
     return EvaluationResult.of(PROTOCOLS[protocol], stated, pairs, scores)
 
 
-def scored(dataset: str, protocol: str, subset: str, psnr_db: float) -> EvaluationResult:
-    """All of them, with one score each."""
-    values = {pair.path: (psnr_db, 0.9) for pair in pairs_of(dataset, protocol, subset)}
-    return result_of(dataset, protocol, subset, values)
-
-
-def test_a_result_and_its_json_give_the_same(tmp_path: Path) -> None:
-    result = scored("sid-sony", "sid-tpami", "eval-first", 38.0)
-    result.write_json(tmp_path / "result.json")
-    text = comparison_table(result)
-    assert comparison_table(json.loads((tmp_path / "result.json").read_text())) == text
-    assert text.count("> yours") == 3
-    assert [f"x{ratio}, {pairs} pairs" in text for ratio, pairs in ((100, 40), (250, 40), (300, 49))] == [True] * 3
-
-
 # --- text ---------------------------------------------------------------------------------------------------------
 
 SOURCES: dict[str, dict[str, Any]] = {
@@ -271,12 +247,6 @@ def test_a_malformed_row_is_named(tmp_path: Path, line: str, reason: str) -> Non
         load_published(tmp_path)
     assert reason in str(caught.value)
     assert str(tmp_path / "eld.csv") in str(caught.value)
-
-
-def test_a_number_twice(tmp_path: Path) -> None:
-    write(tmp_path, [GOOD, GOOD.replace("First", "Best"), GOOD.replace("45.25", "45.26")])
-    with pytest.raises(ManifestError, match=r"line 4: repeats .*line 2: First, SonyA7S2 x100"):
-        load_published(tmp_path)
 
 
 # --- the noisy input's own scores: what agrees, what is near, and what a difference means -----------------------------
@@ -327,7 +297,7 @@ def test_the_published_figures_agree(dataset: str) -> None:
             f"SonyA7S2 x{ratio} agrees: {psnr_db:.2f} dB and {ssim:.4f} published, yours {psnr_db:.3f} and {ssim:.5f}"
             for ratio, (psnr_db, ssim) in PUBLISHED[dataset].items()
         ),
-        "so these files, their levels and ratios and the metric are those of the published evaluation",
+        "so files, levels, ratios and metric are right: every mistake that was tried moves these scores more",
     ]
 
 
@@ -347,30 +317,19 @@ def test_how_near(moved: tuple[float, float], words: str) -> None:
     assert words in check(of_input("eld", {200: moved}))[2]
 
 
-def test_what_follows_from_a_small_difference() -> None:
-    lines = check(of_input("eld", {100: (0.012, -0.0001), 200: (-0.008, 0.0003)}))
-    assert (
-        lines[1] == "SonyA7S2 x100 is near: 30.98 dB and 0.4878 published, yours 30.992 and 0.48770 (+0.012, -0.00010)"
-    )
-    assert lines[-1].startswith("so files, levels, ratios and metric seem right: every mistake that was tried moves")
-
-
 def test_one_factor_that_differs_has_wrong_files_or_a_wrong_ratio() -> None:
     lines = check(of_input("sid-sony", {300: (0.087, -0.004)}))
     assert lines[3] == (
         "SonyA7S2 x300 DOES NOT AGREE: 22.26 dB and 0.2691 published, yours 22.347 and 0.26510 (+0.087, -0.00400)"
     )
     assert lines[-1] == (
-        "so levels and metric are right, and of SonyA7S2 x300 the files or the ratio are not: "
-        "unpack or fetch them again and compare"
+        "so levels and metric are right, and of SonyA7S2 x300 the files or the ratio are not: fetch them again"
     )
 
 
 def test_every_factor_that_differs_is_what_they_share() -> None:
     lines = check(of_input("eld", {100: (-0.044, -0.0016), 200: (-0.044, -0.0017)}))
-    assert lines[-1].startswith(
-        "so what all factors share is not as published: the black or white level that LibRaw states"
-    )
+    assert lines[-1].startswith("so what all factors share is not as published: the levels that LibRaw states")
 
 
 def test_another_protocol_names_the_one_that_has_them() -> None:

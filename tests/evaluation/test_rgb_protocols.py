@@ -95,31 +95,11 @@ def test_predictions_of_three_channels(form: str, own: OwnSet, tmp_path: Path) -
 def test_the_input_is_the_amplified_frame_in_its_own_colours(name: str, own: OwnSet) -> None:
     result = evaluate(None, **own.where, protocol=name, baseline="input")
     given = {}
-    for pair in result.pairs:
-        noisy, reference = own.files / pair.path, own.files / pair.reference
+    for pair in result.units:
+        noisy, reference = own.files / pair.path, own.files / str(pair.reference)
         amplified = packed(noisy, published_code.ratio_by_exif(noisy, reference))
         given[pair.path] = published_code.eld_rendered(amplified, noisy)
     assert_equal(result, lambda pair: score_of(own, pair, given[pair.path]))
-
-
-# --- what does not go together ----------------------------------------------------------------------------------------
-
-
-def test_the_protocol_that_takes_them_is_named(own: OwnSet, tmp_path: Path) -> None:
-    sizes = {"raw": (4, 30, 42), "binned": (3, 30, 42), "whole": (3, *SIZE)}
-    for look, shape in sizes.items():
-        for scene in ("s0", "s1"):
-            for ratio in (50, 100):
-                save_prediction(tmp_path / look, f"{scene}/x{ratio}.dng", np.zeros(shape, np.float32))
-
-    def refused(look: str, protocol: str) -> str:
-        (problem,) = evaluate(tmp_path / look, **own.where, protocol=protocol).problems
-        return problem.reason.partition("; ")[2]
-
-    assert refused("binned", "eld") == "give protocol sid-raw2rgb or eld-raw2rgb"
-    assert refused("raw", "eld-raw2rgb") == "give protocol sid-srgb or eld-srgb"
-    assert refused("whole", "eld-rgb2rgb") == "give protocol sid2018"
-    assert refused("binned", "sid2018") == "give protocol sid-raw2rgb or eld-raw2rgb"
 
 
 # --- predicting -------------------------------------------------------------------------------------------------------
@@ -151,8 +131,8 @@ def test_networks_to_srgb_are_run_and_scored(own: OwnSet, tmp_path: Path, capsys
     assert [stated[name] for name in ("input_space", "prediction_space", "response")] == ["sRGB", "sRGB", "gamma 2.2"]
     scored = {**own.where, "protocol": "eld-rgb2rgb"}
     ours, theirs = evaluate(tmp_path / "eld-rgb2rgb", **scored), evaluate(None, baseline="input", **scored)
-    expected = [one.psnr_db for one in theirs.images]
-    assert [one.psnr_db for one in ours.images] == pytest.approx(expected, abs=1e-5, rel=0)  # files of float32
+    expected = [one.psnr_db for one in theirs.scores]
+    assert [one.psnr_db for one in ours.scores] == pytest.approx(expected, abs=1e-5, rel=0)  # files of float32
     capsys.readouterr()
     assert main(["evaluate", str(tmp_path / "eld-rgb2rgb"), *own.arguments, "--protocol", "eld-raw2rgb"]) == 2
     assert "network's input: sRGB, and protocol 'eld-raw2rgb' has packed raw (input_space)" in capsys.readouterr().err
@@ -219,15 +199,15 @@ def test_a_protocol_states_its_response_curve(own: OwnSet, tmp_path: Path) -> No
                 digests.append(result.protocol.digest)
                 results.append((evaluate(tmp_path / "rgb", **place), True))
             for scored, is_of_files in results:
-                for pair, image in zip(scored.pairs, scored.images, strict=True):
-                    noisy, reference = own.files / pair.path, own.files / pair.reference
+                for pair, image in zip(scored.units, scored.scores, strict=True):
+                    noisy, reference = own.files / pair.path, own.files / str(pair.reference)
                     output = packed(noisy, published_code.ratio_by_exif(noisy, reference))
                     score = published_code.eld_whole_srgb_score
                     if base == "eld-rgb2rgb":
                         score = published_code.eld_rgb_score
                         output = published_code.eld_rendered(output, noisy, response)
                     if is_of_files:
-                        output = shown(own, pair.reference, pair.path)
+                        output = shown(own, str(pair.reference), pair.path)
                     wanted = score(output, packed(reference), reference, response)
                     found = (image.psnr_db, image.ssim)
                     assert found == pytest.approx((wanted.psnr_db, wanted.ssim), abs=1e-6, rel=0), (base, stated)

@@ -55,8 +55,8 @@ def test_infinite_and_unknown_scores() -> None:
     data["images"][0]["psnr_db"] = "inf"
     data["images"][1]["psnr_db"] = None
     saved = saved_result(data, "test")
-    assert saved.images[0].psnr_db == math.inf
-    assert math.isnan(saved.images[1].psnr_db)
+    assert saved.scores[0].psnr_db == math.inf
+    assert math.isnan(saved.scores[1].psnr_db)
 
 
 # --- what cannot be used ------------------------------------------------------------------------------------------

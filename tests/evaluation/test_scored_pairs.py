@@ -54,8 +54,8 @@ def test_what_is_measured_of_raw_values_is_the_score_to_the_last_digit(name: str
     predictions = None if baseline else own.root.parent / "preds"
     result = evaluate(predictions, **own.where, protocol=name, baseline=baseline)
     pairs = list(scored_pairs(predictions, **own.where, protocol=name, baseline=baseline))
-    assert [record for _, _, record in pairs] == list(result.pairs)
-    for (prediction, reference, record), image in zip(pairs, result.images, strict=True):
+    assert [record for _, _, record in pairs] == list(result.units)
+    for (prediction, reference, record), image in zip(pairs, result.scores, strict=True):
         assert isinstance(record, PairRecord)
         assert prediction.dtype == reference.dtype == np.float64
         assert prediction.shape == reference.shape
@@ -83,7 +83,7 @@ def test_renderings_have_256_levels(name: str, own: OwnSet, tmp_path: Path) -> N
             save_prediction(folder, path.relative_to(own.files).as_posix(), made)
     result = evaluate(folder, **own.where, protocol=name)
     for (prediction, reference, _), image in zip(
-        scored_pairs(folder, **own.where, protocol=name), result.images, strict=True
+        scored_pairs(folder, **own.where, protocol=name), result.scores, strict=True
     ):
         first, second = codes(prediction), codes(reference)
         how: dict[str, Any] = {"window": protocol.ssim_window, "covariance": protocol.ssim_covariance}
@@ -97,7 +97,7 @@ def test_renderings_that_a_network_made_are_as_they_are(own: OwnSet, tmp_path: P
         save_prediction(tmp_path, path.relative_to(own.files).as_posix(), made)
     result = evaluate(tmp_path, **own.where, protocol="eld-raw2rgb")
     for (prediction, reference, _), image in zip(
-        scored_pairs(tmp_path, **own.where, protocol="eld-raw2rgb"), result.images, strict=True
+        scored_pairs(tmp_path, **own.where, protocol="eld-raw2rgb"), result.scores, strict=True
     ):
         assert reference.shape == (3, 30, 42)
         assert measured(prediction, reference, PROTOCOLS["eld-raw2rgb"]) == (image.psnr_db, image.ssim)
@@ -115,7 +115,7 @@ def test_frames_of_a_clip_come_together(tmp_path: Path) -> None:
     result = evaluate(tmp_path / "preds", **given)
     pairs = list(scored_pairs(tmp_path / "preds", **given))
     assert [record.scene for _, _, record in pairs] == ["0007", "0013"]
-    for (prediction, reference, record), video in zip(pairs, result.videos, strict=True):
+    for (prediction, reference, record), video in zip(pairs, result.scores, strict=True):
         still = (still_of(record.scene).transpose(2, 0, 1) / 65535).astype(np.float32)
         assert prediction.shape == reference.shape == (5, *still.shape)
         np.testing.assert_array_equal(reference, np.broadcast_to(still, reference.shape))

@@ -152,15 +152,15 @@ def test_predictions_of_photographs_are_those_of_the_film(made: Path, tmp_path: 
             np.testing.assert_allclose(sample["target"][place].numpy(), expected, atol=1e-6)
     options: dict[str, Any] = {"manifest": made / MANIFEST, "root": made / "data"}
     film_scores = evaluate(tmp_path, **options)
-    assert (film_scores.st_rred, film_scores.ssim) == (0.0, 1.0)
+    assert (film_scores.whole.values["st_rred"], film_scores.ssim) == (0.0, 1.0)
     assert np.isinf(film_scores.psnr_db)
-    assert len(film_scores.videos) == 8
+    assert len(film_scores.scores) == 8
     of_pairs = evaluate(tmp_path, protocol="raw", **options)
-    assert len(of_pairs.images) == 2 * 2 * 2 * MOMENTS
+    assert len(of_pairs.scores) == 2 * 2 * 2 * MOMENTS
     clip = "DemoAlpha/scene-2/ISO800-x100"
     some = evaluate(tmp_path, protocol="sequences", ids=[clip], **options)
-    assert [video.scene for video in some.videos] == [clip, f"{clip}-2"]
-    assert [video.scene for video in evaluate(tmp_path, protocol="sequences", ids=["scene-2"], **options).videos] == [
+    assert [video.scene for video in some.scores] == [clip, f"{clip}-2"]
+    assert [video.scene for video in evaluate(tmp_path, protocol="sequences", ids=["scene-2"], **options).scores] == [
         f"DemoAlpha/scene-2/ISO800-x{factor}{repeat}" for factor in (1, 100) for repeat in ("", "-2")
     ]
 

@@ -57,14 +57,14 @@ def test_the_table_has_the_means_of_each_factor(
     """Each score is held against the published code in ``test_every_protocol``."""
     result = results[name]
     assert (result.protocol.name, result.provenance["subset"]) == ("sid", SUBSETS[name])
-    assert len(result.images) == len(result.pairs) == sum(counts)
+    assert len(result.scores) == len(result.units) == sum(counts)
     factors = (100, 250, 300)
     assert [(row.ratio, row.pairs) for row in result.table] == [
         *zip(factors, counts, strict=True),
         (None, sum(counts)),
     ]
     for row in result.table:
-        members = [image for image in result.images if row.ratio in (None, image.ratio)]
+        members = [image for image in result.scores if row.ratio in (None, image.ratio)]
         for value in ("psnr_db", "ssim"):
             assert row.values[value] == pytest.approx(np.mean([one.values[value] for one in members]), rel=1e-12)
 
@@ -79,10 +79,10 @@ def test_the_table_says_which_pairs(results: dict[str, EvaluationResult]) -> Non
 
 def test_misaligned_scenes_can_be_left_out(root: Path, predictions: Path, results: dict[str, EvaluationResult]) -> None:
     found = evaluate(predictions / "sid-sony", "sid-sony", root=root, exclude_flags=["misaligned"])
-    bad = {pair.path for pair in found.pairs if pair.scene in ("10034", "10045", "10172")}
+    bad = {pair.path for pair in found.units if pair.scene in ("10034", "10045", "10172")}
     assert bad == set()
-    kept = [image for image in results["sid-sony"].images if image.scene not in ("10034", "10045", "10172")]
-    assert list(found.images) == kept
+    kept = [image for image in results["sid-sony"].scores if image.scene not in ("10034", "10045", "10172")]
+    assert list(found.scores) == kept
     assert [row.pairs for row in found.table] == [38, 38, 48, 124]
     assert found.provenance["excluded_flags"] == {"misaligned": 5}
     assert "124 of 124 pairs, subset eval-first, without misaligned (5)" in found.format_text()
@@ -106,7 +106,7 @@ def test_predictions_of_the_other_camera_are_noted_and_left_out(
 ) -> None:
     found = evaluate(both, name, root=root)
     assert not found.problems
-    assert found.images == results[name].images
+    assert found.scores == results[name].scores
     assert set(found.notes) - set(results[name].notes) == {
         f"{count} predictions of {other} are there too; not scored here"
     }
@@ -115,5 +115,5 @@ def test_predictions_of_the_other_camera_are_noted_and_left_out(
 def test_the_other_camera_alone_is_one_message(root: Path, predictions: Path) -> None:
     (problem,) = evaluate(predictions / "sid-fuji", "sid-sony", root=root).problems
     assert problem.path == str(predictions / "sid-fuji")
-    assert problem.reason.startswith("found 94 .npy files, none of them where expected (the prediction of Sony/short/")
+    assert problem.reason.startswith("found 94 files, none of them where expected (the prediction of Sony/short/")
     assert problem.reason.endswith("; it holds predictions of other data, 94 of them of sid-fuji (--dataset sid-fuji)")

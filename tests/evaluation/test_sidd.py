@@ -95,8 +95,8 @@ def test_scores_are_those_of_sfrns_arithmetic(phone: str, root: Path) -> None:
             places = [(slice(row, None, 2), slice(column, None, 2)) for row in (0, 1) for column in (0, 1)]
             ssim = np.mean([ssim_of(clean[place], noisy[place], data_range=1) for place in places])
             expected[name] = psnr_of(clean, noisy, data_range=1), ssim
-    assert len(result.images) == len(expected)
-    for pair, image in zip(result.pairs, result.images, strict=True):
+    assert len(result.scores) == len(expected)
+    for pair, image in zip(result.units, result.scores, strict=True):
         psnr_db, ssim = expected[pair.path.rpartition("/")[2]]
         assert image.psnr_db == pytest.approx(psnr_db, abs=1e-6, rel=0)
         assert image.ssim == pytest.approx(ssim, abs=1e-6, rel=0)
@@ -115,9 +115,9 @@ def test_sidd_cc_is_scored_by_the_manifest_of_the_document(tmp_path: Path, monke
     result = evaluate(
         None, manifest=tmp_path / "my-sidd-cc.csv", root=tmp_path / "data", baseline="input", protocol=unclipped
     )
-    assert len(result.images) == 4
-    for pair, image in zip(result.pairs, result.images, strict=True):
-        noisy, clean = (by_h5py(tmp_path / "data" / "SIDD-CC" / path) for path in (pair.path, pair.reference))
+    assert len(result.scores) == 4
+    for pair, image in zip(result.units, result.scores, strict=True):
+        noisy, clean = (by_h5py(tmp_path / "data" / "SIDD-CC" / path) for path in pair.files)
         assert clean.min() < 0
         assert image.psnr_db == pytest.approx(psnr_of(clean, noisy.clip(0, 1), data_range=1), abs=1e-6, rel=0)
 
@@ -214,8 +214,8 @@ def test_scores_are_those_of_yonds_arithmetic(blocks: Path, tmp_path: Path) -> N
         clipped, target = predicted[image, block].clip(0, 1), truth[image, block]
         expected.append((psnr_of(target, clipped, data_range=1), ssim_by_yond(clipped, target)))
     result = evaluate(tmp_path, "sidd-blocks", root=blocks, cameras=["GalaxyS6Edge"])
-    assert (result.protocol.name, len(result.images)) == ("yond-sidd", 256)
-    found = [(one.psnr_db, one.ssim) for one in result.images]
+    assert (result.protocol.name, len(result.scores)) == ("yond-sidd", 256)
+    found = [(one.psnr_db, one.ssim) for one in result.scores]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
 
 

@@ -44,14 +44,14 @@ def test_the_example_hands_renderings_to_torchmetrics_lpips(tmp_path: Path, monk
     found = on_the_demo(tmp_path, "eldata.examples.perceptual_distance:lpips")
     assert not found.problems
     assert made == [("alex", True)]  # once, and of images in [0, 1]
-    assert len(seen) == 2 * len(found.images)
-    for image, first, second in zip(found.images, seen[::2], seen[1::2], strict=True):
+    assert len(seen) == 2 * len(found.scores)
+    for image, first, second in zip(found.scores, seen[::2], seen[1::2], strict=True):
         for pixels in (first, second):
             assert pixels.shape == (1, 3, 32, 48)
             codes = 255 * pixels.astype(np.float64)
             np.testing.assert_allclose(codes, np.round(codes), atol=1e-4)
             assert (pixels.min() >= 0, pixels.max() <= 1) == (True, True)
-        assert image.task == pytest.approx(np.abs(first - second).mean(), rel=1e-5)
+        assert image.values["task"] == pytest.approx(np.abs(first - second).mean(), rel=1e-5)
     (metric,) = (metric for metric in found.kind.metrics if metric.name == "task")
     assert (metric.label, metric.better) == ("LPIPS", "lower")
     assert found.provenance["task"]["version"].startswith("torchmetrics ")

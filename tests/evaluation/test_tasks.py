@@ -5,10 +5,8 @@ from __future__ import annotations
 import csv
 import hashlib
 import math
-import multiprocessing
 import re
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,10 +60,6 @@ def worded(prediction: NDArray[Any], reference: NDArray[Any]) -> Any:
     return "good"
 
 
-def alone(prediction: NDArray[Any]) -> float:
-    return 0.0
-
-
 worst = Task(worst_error, higher_is_better=False, label="worst error")
 HERE = "tests.evaluation.test_tasks"
 
@@ -94,13 +88,15 @@ def test_it_stands_beside_the_scores_everywhere(own: OwnSet, tmp_path: Path) -> 
     result = scored(own, task=f"{HERE}:worst")
     assert not result.problems
     assert result.digest == plainly.digest
-    for image, plain in zip(result.images, plainly.images, strict=True):
+    for image, plain in zip(result.scores, plainly.scores, strict=True):
         made = np.load((own.root.parent / "preds" / image.path).with_suffix(".npy")).astype(float)
         target = oracle.reference(own.files / image.scene / "clean.dng")
         expected = np.abs(np.clip(np.clip(made, 0, 1) * image.rescale, 0, 1) - target).max()
-        assert image.task == pytest.approx(expected, abs=1e-6)
+        assert image.values["task"] == pytest.approx(expected, abs=1e-6)
         assert {name: value for name, value in image.values.items() if name != "task"} == plain.values
-    assert result.whole.task == pytest.approx(np.mean([image.task for image in result.images]), rel=1e-12)
+    assert result.whole.values["task"] == pytest.approx(
+        np.mean([image.values["task"] for image in result.scores]), rel=1e-12
+    )
     stated = result.provenance["task"]
     assert stated == {
         "callable": f"{HERE}:worst_error",
@@ -112,13 +108,13 @@ def test_it_stands_beside_the_scores_everywhere(own: OwnSet, tmp_path: Path) -> 
     }
     result.write_json(tmp_path / "result.json")
     back = load_result(tmp_path / "result.json")
-    assert (back.images, back.table, back.as_dict()) == (result.images, result.table, result.as_dict())
+    assert (back.scores, back.table, back.as_dict()) == (result.scores, result.table, result.as_dict())
     assert f"worst error: {HERE}:worst_error (sha256:" in result.format("text")
     write_evaluation_page(
         result, tmp_path / "page.html", dataset_folder=own.files, predictions=own.root.parent / "preds"
     )
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert f"{result.images[0].task:.4f}" in page
+    assert f"{result.scores[0].values['task']:.4f}" in page
     assert "lower is better" in page
     assert "task" not in plainly.provenance
 
@@ -131,28 +127,22 @@ def test_renderings_are_those_of_the_published_code(tmp_path: Path) -> None:
     first, second, factor = published_code.eld_shown(made, target, own.files / "s0/clean.dng")
     gap = first.mean(dtype=float) - second.mean(dtype=float)
     # A code may differ by one where a value lies on the edge of two: of a mean, 1e-7 for each of a few pixels.
-    assert scored(own, protocol="sid-srgb", task=gap_of_means).images[0].task == pytest.approx(gap, abs=1e-6)
-    packed = scored(own, protocol="sid-srgb", task=Task(gap_of_means, "packed")).images[0].task
+    assert scored(own, protocol="sid-srgb", task=gap_of_means).scores[0].values["task"] == pytest.approx(gap, abs=1e-6)
+    packed = scored(own, protocol="sid-srgb", task=Task(gap_of_means, "packed")).scores[0].values["task"]
     centre = published_code.centre
     expected = np.clip(np.clip(centre(made), 0, 1) * factor, 0, 1).mean(dtype=float) - centre(target).mean(dtype=float)
     assert packed == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_protocol_of_raw_values_is_rendered_for_a_task(own: OwnSet) -> None:
-    image = scored(own, task=Task(gap_of_means, "srgb")).images[0]
+    image = scored(own, task=Task(gap_of_means, "srgb")).scores[0]
     made = np.load((own.root.parent / "preds" / image.path).with_suffix(".npy"))
     file = own.files / image.scene / "clean.dng"
     target = oracle.reference(file)
     rescaled = np.clip(np.clip(made, 0, 1) * image.rescale, 0, 1)
     first, second = (published_code.eld_rendered(array, file) for array in (rescaled, target))
     # One of 3780 values, a code of 255 off where it lies on the edge of two, moves the mean by 1.04e-6.
-    assert image.task == pytest.approx(first.mean(dtype=float) - second.mean(dtype=float), abs=5e-6)
-
-
-def test_worker_processes_give_the_same(own: OwnSet) -> None:
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        found = scored(own, task=worst, workers=pool)
-    assert found.images == scored(own, task=worst).images
+    assert image.values["task"] == pytest.approx(first.mean(dtype=float) - second.mean(dtype=float), abs=5e-6)
 
 
 def test_methods_are_compared_by_the_task_that_they_share(own: OwnSet, tmp_path: Path) -> None:
@@ -179,12 +169,12 @@ def test_methods_are_compared_by_the_task_that_they_share(own: OwnSet, tmp_path:
     [
         (failing, rf"the task {HERE}:failing raised ValueError: no\\nedges \(test_tasks.py, line \d+\)"),
         (unknown, rf"the task {HERE}:unknown returned nan; expected a finite number"),
-        (worded, rf"the task {HERE}:worded returned str; expected a finite number"),
+        (worded, rf"the task {HERE}:worded returned '.*'; expected a finite number"),
     ],
 )
 def test_frames_without_a_value_are_named(task: Any, reason: str, own: OwnSet) -> None:
     found = scored(own, task=task)
-    assert not found.images
+    assert not found.scores
     assert [problem.path for problem in found.problems] == ["s0/x100.dng", "s0/x50.dng", "s1/x100.dng", "s1/x50.dng"]
     for problem in found.problems:
         assert re.fullmatch(reason, problem.reason), problem.reason
@@ -197,7 +187,6 @@ def test_frames_without_a_value_are_named(task: Any, reason: str, own: OwnSet) -
         ({"task": f"{HERE}:absent"}, f"{HERE}:absent: cannot be imported: AttributeError: "),
         ({"task": "matched"}, "'matched' names nothing in a module; expected package.module:name"),
         ({"task": f"{HERE}:HERE"}, "a task is a function of .*or a Task of one"),
-        ({"task": alone}, "alone cannot be called with .prediction, reference.: too many positional arguments"),
         ({"task": Task(worst_error, "packed"), "protocol": "sid2018"}, "wants packed raw images, which .*'sid2018'"),
         ({"task": lambda *_: 0.0, "workers": 2}, "cannot be sent to worker processes .*: define it at the top level"),
     ],
@@ -245,12 +234,14 @@ def predicted(clip: str, number: int) -> NDArray[np.float32]:
 def test_a_clip_has_the_mean_over_its_frames_as_the_published_code_corrects_them(drv: SmallDrv) -> None:
     given: dict[str, Any] = {"manifest": drv.csv, "root": drv.root, "ids": ["0007", "0013"]}
     result = evaluate(drv.root / "preds", task=gap_of_means, **given)
-    assert [video.scene for video in result.videos] == ["0007", "0013"]
-    for video in result.videos:
+    assert [video.scene for video in result.scores] == ["0007", "0013"]
+    for video in result.scores:
         still = (still_of(video.scene).transpose(2, 0, 1) / 65535).astype(np.float32)
         made = np.stack([predicted(video.scene, number) for number in range(5, 10)])
         _, shown = published_code.eld_clip(made, still, correct=True)
-        assert video.task == pytest.approx(shown.mean(dtype=float) - still.mean(dtype=float), abs=1e-6)  # float32
-    assert evaluate(drv.root / "preds", task=gap_of_means, workers=2, **given).videos == result.videos
+        assert video.values["task"] == pytest.approx(
+            shown.mean(dtype=float) - still.mean(dtype=float), abs=1e-6
+        )  # float32
+    assert evaluate(drv.root / "preds", task=gap_of_means, workers=2, **given).scores == result.scores
     both = compare({"one": result, "other": result})
     assert [metric.name for metric in both.kind.metrics] == ["psnr_db", "ssim", "st_rred", "task"]

@@ -12,14 +12,11 @@ import numpy as np
 import pytest
 import rawpy
 
-from eldata.cli.main import main
 from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation import EvaluationResult, evaluate, save_clip_prediction
-from eldata.evaluation.comparison import compare
-from eldata.evaluation.looking import images_of
 from eldata.manifest.layouts import scan_raw
-from eldata.metrics import PEAK_ELD, psnr, st_rred
+from eldata.metrics import PEAK_ELD, st_rred
 from eldata.raw.levels import unpack
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
 from tests.evaluation import published_code
@@ -85,7 +82,7 @@ def check_against_the_published_code(
     """Correction, PSNR and SSIM frame by frame, means, ST-RRED of whole clips; averages over videos."""
     means = []
     correct = published_code.CLIPS[result.protocol.name]
-    for video in result.videos:
+    for video in result.scores:
         still = still_in(video.scene)
         scores, shown = published_code.eld_clip(frames_of(video.scene), still, correct=correct)
         clip, repeated = published_code.eld_grey(shown), published_code.eld_grey(np.stack([still] * len(shown)))
@@ -96,15 +93,15 @@ def check_against_the_published_code(
         print(f"{result.protocol.name}: {len(scores)} frames, largest differences {largest}")
         assert np.all(largest <= 1e-6)
         # The corrected frames are rounded to float32 before ST-RRED is taken.
-        assert video.st_rred == pytest.approx(rred.st_rred, rel=1e-4)
+        assert video.values["st_rred"] == pytest.approx(rred.st_rred, rel=1e-4)
         assert (video.values["spatial_rred"], video.values["temporal_rred"]) == pytest.approx(
             (rred.spatial, rred.temporal), rel=1e-4
         )
         assert (video.psnr_db, video.ssim) == pytest.approx(tuple(expected[:, :2].mean(axis=0)))
-        assert video.st_rred > 0
-        means.append((video.psnr_db, video.ssim, video.st_rred))
-    assert [video.scene for video in result.videos] == IDS
-    assert (result.psnr_db, result.ssim, result.st_rred) == pytest.approx(np.mean(means, axis=0))
+        assert video.values["st_rred"] > 0
+        means.append((video.psnr_db, video.ssim, video.values["st_rred"]))
+    assert [video.scene for video in result.scores] == IDS
+    assert (result.psnr_db, result.ssim, result.whole.values["st_rred"]) == pytest.approx(np.mean(means, axis=0))
 
 
 @pytest.mark.parametrize("protocol", ["drv-rgb", "drv-rgb-uncorrected"])
@@ -138,7 +135,7 @@ def test_raw_scores_are_those_of_the_published_code(phases: tuple[str, str], tmp
     for path in sorted((tmp_path / "preds").rglob("*.npy")):
         np.save(path, unpack(np.load(path), sensors[path.parent.name].cfa))
     mosaics = evaluate(tmp_path / "preds", protocol=protocol, manifest=manifest.path, root=tmp_path, ids=IDS)
-    assert mosaics.videos == result.videos
+    assert mosaics.scores == result.scores
 
 
 def test_a_perfect_prediction(drv: SmallDrv, tmp_path: Path) -> None:
@@ -146,7 +143,7 @@ def test_a_perfect_prediction(drv: SmallDrv, tmp_path: Path) -> None:
         for number in SCORED:
             write_png(tmp_path / clip / f"{number:04d}.png", still_of(clip, SIZE))
     found = score(drv, tmp_path, protocol="drv-rgb-uncorrected")
-    assert (found.psnr_db, found.ssim, found.st_rred) == (math.inf, 1.0, 0.0)
+    assert (found.psnr_db, found.ssim, found.whole.values["st_rred"]) == (math.inf, 1.0, 0.0)
     assert any("equals the reference exactly: 2 videos" in note for note in found.notes)
     assert json.loads(json.dumps(found.as_dict(), allow_nan=False))["table"][0]["psnr_db"] == "inf"
 
@@ -162,14 +159,14 @@ def own(predictions: Path, tmp_path: Path) -> Path:
 
 def test_a_video_needs_all_of_its_frames(drv: SmallDrv, own: Path, result: EvaluationResult) -> None:
     assert result.provenance["layout"].startswith("noisy VBM4D_rawRGB/<clip>/<n>.png: 2 clips, 24 files")
-    assert [len(video.frames) for video in result.videos] == [5, 5]
+    assert [len(video.frames) for video in result.scores] == [5, 5]
     (own / "0007/0006.npy").unlink()
     found = score(drv, own)
     assert [problem.path for problem in found.problems] == ["0007/0006.png"]
-    assert found.videos == ()
+    assert found.scores == ()
     assert "nothing was scored" in found.format_text()
     rest = score(drv, own, allow_missing=True)
-    assert rest.videos == result.videos[1:]
+    assert rest.scores == result.scores[1:]
     assert rest.missing == ("0007",)
     assert "1 of 2" in rest.format_table()
     assert "INCOMPLETE: 1 videos" in rest.format_text()
@@ -229,25 +226,3 @@ def test_mistakes_in_clips_are_named(mistake: str, drv: SmallDrv, result: Evalua
             np.save(tmp_path / clip / f"{number:04d}.npy", change(predicted(clip, number)))
     (found,) = score(drv, tmp_path).suspicions
     assert (found.words, found.shown, found.looked) == (words, found.looked, found.looked)
-
-
-def test_pictures_of_clips_show_a_frame_of_each(
-    drv: SmallDrv, predictions: Path, result: EvaluationResult, own: Path, tmp_path: Path
-) -> None:
-    """The one with the first method's lowest PSNR, as both were scored on it."""
-    methods = {"first": result, "second": score(drv, own)}
-    for name, scores_of_method in methods.items():
-        scores_of_method.write_json(tmp_path / f"{name}.json")
-    files = [str(tmp_path / f"{name}.json") for name in methods]
-    arguments = ["--manifest", str(drv.csv), "--root", str(drv.root), "--jobs", "1"]
-    assert main(["compare", *files, *arguments, "--html", str(tmp_path / "page.html"), "--pictures"]) == 0
-    comparison = compare(methods)
-    assert len(list((tmp_path / "page-pictures").glob("*-reference.jpg"))) == len(comparison.images)
-    images = images_of(
-        list(methods.values()), comparison.images, dataset_folder=drv.data, predictions=[predictions, own]
-    )
-    for image, (scores, _) in zip(images, comparison.images, strict=True):
-        worst = min(frame.psnr_db for frame in scores.frames)
-        seen = image.decoded()
-        for values in seen.predictions:
-            assert psnr(values, seen.reference) == pytest.approx(worst, abs=1e-4)

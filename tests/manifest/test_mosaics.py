@@ -263,7 +263,7 @@ def test_levels_that_do_not_fit_are_found_by_verify_and_never_scored(tmp_path: P
     with pytest.raises(UnusableRawError, match="black 0 and white 1"):
         PairDataset(root / "own", path)[0]
     result = evaluate(None, "own", manifest=path, root=root, baseline="input")
-    assert result.images == ()
+    assert result.scores == ()
     assert all("black 0 and white 1" in str(problem) for problem in result.problems)
     with pytest.raises(EldataError, match="black 0 and white 1"):
         list(scored_pairs(None, "own", manifest=path, root=root, baseline="input"))

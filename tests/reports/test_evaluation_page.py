@@ -142,14 +142,14 @@ def test_says_what_was_found(page: str, evaluated: EvaluationResult) -> None:
         assert f"<dd>{value}</dd>" in page
     for name in evaluated.protocol.as_dict():
         assert f"<dt>{name}</dt>" in page
-    assert checker.text.count("IMG_") == len(evaluated.images) + 2 * 2 * EACH  # rows; headings and labels of sliders
+    assert checker.text.count("IMG_") == len(evaluated.scores) + 2 * 2 * EACH  # rows; headings and labels of sliders
     assert "no interval with fewer than 6 scenes" in checker.text
 
 
 def test_every_image_has_a_row_with_what_it_sorts_by(page: str, evaluated: EvaluationResult) -> None:
     body = page[page.index('<table class="sortable">') :]
     values = [float(value) for value in re.findall(r'data-value="([^"]+)"', body)]
-    expected = [value for i in evaluated.images for value in (i.iso, i.ratio, i.psnr_db, i.ssim, i.rescale)]
+    expected = [value for i in evaluated.scores for value in (i.iso, i.ratio, i.psnr_db, i.ssim, i.rescale)]
     assert values == expected
 
 
@@ -197,7 +197,7 @@ def test_the_same_page_each_time(
 
 def test_wrong_exposure_shows() -> None:
     one = result()
-    dark = tuple(replace(image, values=image.values | {"rescale": 4.0}) for image in one.images)
+    dark = tuple(replace(image, values=image.values | {"rescale": 4.0}) for image in one.scores)
     plots = {plot.name: plot for plot in score_plots(replace(one, scores=dark))}
     assert "from 4 to 4" in plots["rescaling"].alt
     assert plots["rescaling"].light != plots["rescaling"].dark
@@ -239,13 +239,13 @@ def test_pictures_show_what_was_scored(evaluated: EvaluationResult, tree: Tree, 
     """Against the same steps written plainly."""
     shown = show_images(worst_and_best_images(evaluated, EACH, dataset_folder=tree.files, predictions=predictions))
     assert [rank for rank, _, _ in shown] == ["Worst"] * EACH + ["Best"] * EACH
-    pairs = {pair.path: pair for pair in evaluated.pairs}
+    pairs = {pair.path: pair for pair in evaluated.units}
     for _, score, image in shown:
         pair = pairs[score.path]
-        reference = read_raw(tree.files / pair.reference)
+        reference = read_raw(tree.files / str(pair.reference))
         target = packed_frame(reference, levels="published", clip="both")
         amplified = packed_frame(
-            read_raw(tree.files / pair.path), levels="published", clip="both", gain=float(pair.ratio)
+            read_raw(tree.files / pair.path), levels="published", clip="both", gain=float(pair.nominal_ratio or 1)
         )
         prediction = np.clip(np.load((predictions / pair.path).with_suffix(".npy")), 0, 1) * score.rescale
         expected = {"input": amplified, "method-1": np.clip(prediction, 0, 1), "reference": target}
@@ -313,7 +313,7 @@ def test_renderings_are_shown_as_they_are(tree: Tree, tmp_path: Path) -> None:
 
     place(folder, tree, dark)
     one = evaluate(folder, **tree.where, protocol="sid2018", allow_missing=True)
-    assert one.images
+    assert one.scores
     shown = show_images(worst_and_best_images(one, EACH, dataset_folder=tree.files, predictions=folder))
     for _, _, image in shown:
         assert list(image.layers) == ["method-1", "reference", "error-1"]
@@ -325,7 +325,7 @@ def test_renderings_are_shown_as_they_are(tree: Tree, tmp_path: Path) -> None:
 
 
 def test_worst_and_best_are_of_different_scenes() -> None:
-    images = result().images
+    images = result().scores
     worst, best = worst_and_best(images, EACH)
     assert worst[0] == min(images, key=lambda image: image.psnr_db)
     assert best[0] == max(images, key=lambda image: image.psnr_db)
@@ -341,11 +341,11 @@ def test_worst_and_best_are_of_different_scenes() -> None:
 def test_a_page_of_240_pairs_stays_below_10_mb() -> None:
     """With 24 pictures of noise, which no format makes small: as many bytes as there may be of pictures."""
     one = result(cameras=["a", "b", "c", "d"], scenes=10)
-    assert len(one.images) == 240
+    assert len(one.scores) == 240
     noise = np.random.default_rng(0).bytes(pictures._MOST_BYTES // (2 * EACH) // 4)
     layers = dict.fromkeys(("input", "method-1", "reference", "error-1"), noise)
     image = DrawnImage("frame 1", layers, {}, (slice(0, CROP[0]), slice(0, CROP[1])), (1424, 2128), 1.0, 0.1)
-    ranked = zip(("Worst", "Best"), worst_and_best(one.images, EACH), strict=True)
+    ranked = zip(("Worst", "Best"), worst_and_best(one.scores, EACH), strict=True)
     shown = [(rank, score, image) for rank, scores in ranked for score in scores]
     assert len(shown) == 2 * EACH
     assert 8e6 < len(evaluation_page(one, shown)) < 10e6

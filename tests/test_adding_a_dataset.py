@@ -103,7 +103,7 @@ def mine(tmp_path: Path) -> Place:
 def test_your_own_files_and_a_package_of_yours(mine: Place) -> None:
     printed = mine.execute(blocks("Your own files"))
     assert "mine: 6 of 6 files checked (metadata) in data/MINE: all well" in printed
-    assert "PairDataset('data/MINE', 4 pairs, cameras: MODEL3; 2 scenes" in printed
+    assert "PairDataset(place: data/MINE; pairs: 4 of 2 scenes; cameras: MODEL3" in printed
     assert "4 of 4 pairs" in printed
     assert "sha256:" in (mine.folder / "mine.csv").read_text()
 
@@ -121,7 +121,7 @@ def test_your_own_files_and_a_package_of_yours(mine: Place) -> None:
         lines = [f"{name} = {place}\n" for name, place in points.items()]
         info.joinpath("entry_points.txt").write_text(f"[{group}]\n{''.join(lines)}")
     printed = mine.run(f'export PYTHONPATH="$PWD:$PYTHONPATH"\n{commands.text}')  # as if it were installed
-    assert printed.startswith("HallwayDataset('data/MINE', 4 pairs")
+    assert printed.startswith("HallwayDataset(place: data/MINE; pairs: 4 of 2 scenes")
     assert "\nmine: 2 scenes taken with MODEL3 (manifest version 1.0)" in printed
     assert "mine: 6 of 6 files checked (quick) in data/MINE: all well" in printed
     assert "mine, protocol raw: 4 of 4 pairs" in printed

@@ -97,7 +97,7 @@ def exports(package: str) -> dict[str, str]:
         return {}
     names = {}
     for line in ast.parse(stub.read_text(encoding="utf-8")).body:
-        if not isinstance(line, ast.ImportFrom):
+        if not isinstance(line, ast.ImportFrom) or line.module is None:  # the packages themselves
             continue
         for alias in line.names:
             assert alias.asname == alias.name, f"{alias.name}: type checkers take 'import x as x' as an export"

@@ -45,7 +45,7 @@ def is_read(name: str) -> bool:
     return Path(name).suffix.lower() in EXTENSIONS
 
 
-def describe_layout(
+def describe_misplaced(
     folder: Path,
     names: Sequence[str],
     places: Collection[str],
@@ -271,7 +271,7 @@ def find_predictions(
     unscored = count_others(known)
     counts = {name: count for name, paths in elsewhere().items() if (count := count_others(paths))} if by_stem else {}
     if places and is_elsewhere:
-        layout = describe_layout(folder, names, places, references, counts)
+        layout = describe_misplaced(folder, names, places, references, counts)
         return FoundPredictions({}, (EvaluationProblem(str(folder), layout),), 0)
     extra = [name for alike in by_stem.values() for name in alike]
     nearest = _nearest(extra, [problem.path for problem in missing], {}, ambiguous=False)

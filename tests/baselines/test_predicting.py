@@ -375,8 +375,8 @@ def test_what_is_not_a_network(tmp_path: Path) -> None:
         (tmp_path / "weights.pth", FileError, "is not TorchScript. If it is a checkpoint, give the code"),
         (tmp_path / "plain.pkl", FileError, "is not TorchScript"),
         (tmp_path / "bad.onnx", FileError, "cannot be loaded by ONNX Runtime"),
-        (f"{here}:nothing", ArgumentError, "has no nothing"),
-        ("no.such.place:Network", ArgumentError, "the module no.such.place cannot be imported"),
+        (f"{here}:nothing", ArgumentError, "has no attribute 'nothing'"),
+        ("no.such.place:Network", ArgumentError, "no.such.place:Network: cannot be imported"),
     ):
         with pytest.raises(kind, match=re.escape(words)):
             load_network(str(model))

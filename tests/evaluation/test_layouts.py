@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.evaluation import evaluate
-from eldata.evaluation.layouts import describe_layout
+from eldata.evaluation.layouts import describe_misplaced
 from eldata.evaluation.scores import EvaluationProblem, problem_lines
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def test_another_layout_is_one_message(layout: str, tree: Tree) -> None:
     rename, found, nearest = LAYOUTS[layout]
     places, folder = [pair.path for pair in tree.pairs], Path("preds")
     names = sorted({rename(str(PurePosixPath(place).with_suffix(".npy"))) for place in places})
-    said = describe_layout(folder, names, places)
+    said = describe_misplaced(folder, names, places)
     assert said.startswith(f"found {found}, none of them ")
     assert f"the prediction of {FIRST}.dng is {FIRST}.npy" in said, "what was expected"
     assert nearest.replace("{folder}", str(folder)) in said
@@ -152,7 +152,7 @@ def test_very_long_paths_and_very_many_files_are_told_apart_at_once() -> None:
     """Work grows with the files and not with the powers of their names' lengths."""
     deep = "1_" * 20_000 + "/x" * 2_000
     names = [f"{deep}/{number}.npy" for number in range(30)] + [f"{number}_0.npy" for number in range(10_000)]
-    said = describe_layout(Path("preds"), names, *SID)
+    said = describe_misplaced(Path("preds"), names, *SID)
     assert said.startswith("found 10030 files, none of them where expected")
 
 
@@ -244,4 +244,4 @@ SID: tuple[list[str], dict[str, str]] = (
     ],
 )  # fmt: skip
 def test_names_of_sid(name: str, said: str, tmp_path: Path) -> None:
-    assert said in describe_layout(tmp_path, [name], *SID)
+    assert said in describe_misplaced(tmp_path, [name], *SID)

@@ -65,7 +65,7 @@ class _Described(ABC):
 
     @property
     def digest(self) -> str:
-        """``sha256:<hex>`` of all that decides a score (:func:`canonical`)."""
+        """``sha256:<hex>`` of all that decides a score (``canonical``)."""
         return fields_digest(self.as_dict())
 
     def __repr__(self) -> str:
@@ -417,12 +417,12 @@ def canonical(stated: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def scoring(stated: Mapping[str, Any]) -> dict[str, Any]:
-    """List what of :func:`canonical` decides the score of a given prediction: neither pairs nor input."""
+    """List what of ``canonical`` decides the score of a given prediction: neither pairs nor input."""
     return {name: value for name, value in canonical(stated).items() if name not in (*CHOOSING, *OF_INPUT)}
 
 
 def fields_digest(stated: Mapping[str, Any]) -> str:
-    """``sha256:<hex>`` of what decides a score (:func:`canonical`), as JSON with sorted names."""
+    """``sha256:<hex>`` of what decides a score (``canonical``), as JSON with sorted names."""
     return f"sha256:{hashlib.sha256(json.dumps(canonical(stated), sort_keys=True).encode()).hexdigest()}"
 
 

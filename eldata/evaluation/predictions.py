@@ -199,7 +199,7 @@ def _check_colours(path: Path, shape: tuple[int, int, int], declared: Declared, 
     if channels_last:
         hint = "it is channels-last: transpose(2, 0, 1) it"
     elif rendering and len(found) == 3 and 4 in (found[0], found[-1]):
-        hint = "packed raw, or with alpha? this protocol takes renderings in sRGB"
+        hint = "packed raw, or with alpha? this protocol takes renderings in sRGB (eldata protocols lists those of raw)"
     elif rendering and len(found) == 2:
         hint = "one grey channel? this protocol takes renderings in sRGB"
     raise PredictionError(path, f"expected {expected}, found {found}; {hint}")

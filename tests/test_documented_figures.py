@@ -67,7 +67,7 @@ def test_a_command_prints_what_documents_show(
 def test_the_early_clip_lifts_the_dark_as_documented() -> None:
     """docs/noise.md: the mean of 4,000 draws of a dark patch in DN, whose standard error is 0.03."""
     text = (ROOT / "docs" / "noise.md").read_text(encoding="utf-8")
-    found = there(re.search(r"mean of (\d\.\d) DN in place of (\d\.\d)\)", text))
+    found = there(re.search(r"mean of (\d\.\d) DN instead of (\d\.\d)\)", text))
     generator, range_dn = np.random.default_rng(1), 15871.0
     profile, model = CameraProfile.load("SonyA7S2"), NoiseModel("P*+G*+B+R+U")
     dark = np.zeros((4, 32, 32), np.float32)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import re
-import subprocess
-import sys
-import tarfile
 import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +14,6 @@ import yaml
 import eldata
 from eldata.manifest import shipped_manifest
 from tests.shared import there
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -214,17 +210,3 @@ def test_every_test_that_the_page_on_reliability_names_is_there() -> None:
     named = set(re.findall(r"`(tests/\S+\.py)::(test_\w+)`", page))
     for file, test in sorted(named):
         assert f"\ndef {test}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}::{test}"
-
-
-def test_the_source_archive_holds_what_its_tests_read(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
-    assert done.returncode == 0, done.stderr
-    (built,) = tmp_path.glob("*.tar.gz")
-    with tarfile.open(built) as archive:
-        held = {name.partition("/")[2] for name in archive.getnames()}
-    files = [*PROSE, "CITATION.cff", "LICENSE", "Makefile", "constraints.txt", "pyproject.toml"]
-    files += ["requirements-dev.txt", ".ci/uv.toml", ".ci/licences.py"]
-    files += [".pre-commit-config.yaml", ".ci/run", ".ci/lowest.py", ".ci/release.py", "tests/conftest.py"]
-    files += [path.relative_to(ROOT).as_posix() for path in [*WORKFLOWS, *FORMS]]
-    assert [name for name in files if name not in held] == []

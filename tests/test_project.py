@@ -13,6 +13,7 @@ import yaml
 
 import eldata
 from eldata.manifest import shipped_manifest
+from tests.cases import in_one_test
 from tests.shared import there
 
 if TYPE_CHECKING:
@@ -21,8 +22,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.name != "config.yml")
-PROSE = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md"]
-PROSE += ["docs/reliability.md", "docs/licences.md", "docs/paper.md"]
+PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
@@ -69,9 +69,8 @@ def test_a_form_is_well_formed(path: Path) -> None:
     assert len(ids) == len(set(ids))
     for field in form["body"]:
         assert field["type"] in ("input", "textarea", "checkboxes", "markdown")
-        assert isinstance(field["attributes"]["value" if field["type"] == "markdown" else "label"], str)
-        for option in field["attributes"].get("options", ()):
-            assert isinstance(option["label"], str)
+        texts = [field["attributes"], *field["attributes"].get("options", ())]
+        assert all(isinstance(text.get("label", text.get("value")), str) for text in texts)
 
 
 # --- workflows and hooks ------------------------------------------------------------------------------------------
@@ -94,13 +93,8 @@ def test_a_workflow_is_well_formed(path: Path) -> None:
         assert re.fullmatch(r"[\w-]+/[\w-]+@[\w./-]+", step.get("uses", "a/b@v1"))
         # What others write (a title, a branch's name) would be run: it has to come through the environment.
         assert "${{" not in step.get("run", "")
-
-
-def test_every_file_that_a_workflow_names_is_there() -> None:
-    words = [word for path in WORKFLOWS for step in steps(parsed(path)) for word in step.get("run", "").split()]
-    files = {word for word in words if re.match(r"(tests|\.ci|manifests|docs)/", word)}
-    assert files
-    assert [name for name in files if not (ROOT / name).exists()] == []
+        files = [word for word in step.get("run", "").split() if re.match(r"(tests|\.ci|manifests|docs)/", word)]
+        assert [name for name in files if not (ROOT / name).exists()] == []
 
 
 def test_each_python_of_the_classifiers_is_tested() -> None:
@@ -190,23 +184,20 @@ def anchors(path: Path) -> set[str]:
     return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("name", PROSE)
-def test_links_lead_somewhere(name: str) -> None:
-    page = ROOT / name
+@in_one_test("page", PAGES)
+def test_links_lead_somewhere(page: Path) -> None:
     for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
         if link.startswith("https://"):
             continue
         file, _, anchor = link.partition("#")
         target = page.parent / file if file else page
         assert target.exists(), link
-        assert not anchor or anchor in anchors(target), link
+        assert not anchor or target.suffix != ".md" or anchor in anchors(target), link
 
 
-def test_every_test_that_the_page_on_reliability_names_is_there() -> None:
-    page = (ROOT / "docs" / "reliability.md").read_text(encoding="utf-8")
-    rows = [line for line in page.splitlines() if line.startswith("| ") and "::" in line]
-    assert len(rows) > 30
-    assert [row for row in rows if not re.search(r"`tests/\S+\.py::test_\w+`", row)] == []
-    named = set(re.findall(r"`(tests/\S+\.py)::(test_\w+)`", page))
-    for file, test in sorted(named):
+def test_every_test_that_a_page_names_is_there() -> None:
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    named = re.findall(r"`(tests/\S+\.py)::(test_\w+)`", text)
+    assert len(named) == text.count("::test_") > 100
+    for file, test in sorted(set(named)):
         assert f"\ndef {test}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}::{test}"

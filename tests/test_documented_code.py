@@ -195,7 +195,7 @@ def of_noise(_: Path) -> Names:
 
 def of_raw_files(_: Path) -> Names:
     photograph("IMG_0004.ARW")
-    return {"torch": torch, "n": 2, "Fraction": Fraction}
+    return {"torch": torch, "n": 2, "quad": torch.zeros(1, 16, 8, 8), "Fraction": Fraction}
 
 
 def of_manifests(_: Path) -> Names:
@@ -247,8 +247,6 @@ NEEDS: dict[str, Callable[[Path], Names]] = {
     "docs/reports.md": of_scores,
     "docs/training.md": of_stores,
 }
-# What a block takes to be otherwise than those before it have left it.
-BEFORE: dict[tuple[str, int], Names] = {("docs/raw-files.md", 2): {"packed": torch.zeros(1, 16, 8, 8)}}
 QUICK = {"docs/manifests.md", "docs/published-code.md", "docs/raw-files.md"}  # the others score, pack or calibrate
 
 
@@ -278,7 +276,6 @@ def test_blocks_run(document: str, eld: Path, tmp_path: Path, monkeypatch: pytes
     for number, text in enumerate(blocks(document), 1):
         for large, small in SMALLER.items():
             text = text.replace(large, small)  # noqa: PLW2901 # the same block
-        names |= BEFORE.get((document, number), {})
         exec(compile(text, f"{document}, block {number}", "exec"), names)  # noqa: S102 # our own
 
 
@@ -299,37 +296,19 @@ def test_the_readme_s_block_as_a_script(eld: Path, tmp_path: Path, monkeypatch: 
 # --- commands ---------------------------------------------------------------------------------------------------------
 
 
-def commands(document: str) -> Iterator[str]:
-    """The commands of both programs in a document's blocks, as they would be typed."""
-    for kind, text in _FENCE.findall(DOCUMENTS[document]):
-        if kind.partition(" ")[0] not in ("", "sh", "console"):
-            continue
-        for line in text.replace("\\\n", " ").splitlines():
-            found = re.match(r"(?:\$ )?((?:eldata|capture) .*)", line.strip())
-            if found and not _PRINTED.match(found[1]) and not set("[|<") & set(found[1]):
-                yield found[1]
-
-
-# What a command prints may begin with its name; what has brackets or bars is a synopsis.
-_PRINTED = re.compile(r"(eldata|capture)[ a-z]*:")
+TRAININGS = [train_denoiser.parser(), train_video_denoiser.parser()]
+PROGRAMS = {program.prog: program for program in (eldata_parser(), capture_parser(), *TRAININGS)}
 
 
 def test_commands_parse() -> None:
-    lines = [line for document in DOCUMENTS for line in commands(document)]
-    assert len(lines) > 60
-    for line in lines:
-        words = shlex.split(line, comments=True)
-        program = eldata_parser if words[0] == "eldata" else capture_parser
-        arguments = program().parse_args(words[1:])  # of another, argparse says which and leaves
-        assert arguments.command.startswith(words[0])
-
-
-@pytest.mark.parametrize("training", [train_denoiser, train_video_denoiser])
-def test_commands_of_trainings_parse(training: ModuleType) -> None:
-    """Those of the documents, and of its own help."""
-    program = training.parser()
-    text = "\n".join([*DOCUMENTS.values(), program.format_help()]).replace("\\\n", " ")
-    lines = re.findall(rf"^ *(?:\$ )?{program.prog}( -.*)$", text, re.MULTILINE)
-    assert len(lines) > 6
-    for line in lines:
-        program.parse_args(shlex.split(line, comments=True))
+    """Those of documents and of trainings' help, as they would be typed; what has brackets or bars is a synopsis."""
+    texts = [program.format_help() for program in TRAININGS]
+    for document in DOCUMENTS.values():
+        texts += [text for kind, text in _FENCE.findall(document) if kind.partition(" ")[0] in ("", "sh", "console")]
+    names = "|".join(map(re.escape, PROGRAMS))
+    command = re.compile(rf"^ *(?:\$ )?({names}) ((?!.*[\[|<])(?![ a-z]*:).+)$", re.MULTILINE)
+    lines = command.findall("\n".join(texts).replace("\\\n", " "))
+    assert set(PROGRAMS) == {name for name, _ in lines}
+    assert len(lines) > 90
+    for name, words in lines:
+        PROGRAMS[name].parse_args(shlex.split(words, comments=True))  # of another, argparse says which and leaves

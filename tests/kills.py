@@ -35,7 +35,7 @@ from contextlib import chdir, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
 from tqdm import tqdm
@@ -134,8 +134,7 @@ CASES = {
 # --- running ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass
-class Run:
+class Run(NamedTuple):
     """A run of a command in its folder: how it ended, negative by a signal, and what it said on standard error."""
 
     code: int

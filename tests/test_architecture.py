@@ -386,6 +386,7 @@ for program in ('eldata', 'capture'): show_help(program)
 assert not {HEAVY} & set(sys.modules)
 """
 EVERY_MANIFEST_NAME = "import eldata.manifest\nfor name in eldata.manifest.__all__: getattr(eldata.manifest, name)"
+AFRESH = "for name in [name for name in sys.modules if name.split('.')[0] == 'eldata']: del sys.modules[name]"
 ALONE = "import eldata\nassert not {'eldata.metrics', 'numpy'} & set(sys.modules)"
 
 
@@ -421,7 +422,7 @@ def namesakes_are_functions() -> str:
     assert namesakes
     imports = [f"import {name}" for name in namesakes]
     calls = [f"assert callable({name})" for name in (*namesakes, "eldata.verify")]
-    return "\n".join(["import eldata", *modules, *imports, "eldata.ELDDataset", *calls])
+    return "\n".join([AFRESH, "import eldata", *modules, *imports, "eldata.ELDDataset", *calls])
 
 
 # --- the wheel ----------------------------------------------------------------------------------------------------

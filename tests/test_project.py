@@ -76,10 +76,6 @@ def test_a_form_is_well_formed(path: Path) -> None:
 # --- workflows and hooks ------------------------------------------------------------------------------------------
 
 
-def steps(workflow: Any) -> list[dict[str, Any]]:
-    return [step for job in workflow["jobs"].values() for step in job["steps"]]
-
-
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
 def test_a_workflow_is_well_formed(path: Path) -> None:
     workflow = parsed(path)
@@ -88,7 +84,7 @@ def test_a_workflow_is_well_formed(path: Path) -> None:
     for job in workflow["jobs"].values():
         assert job["runs-on"]
         assert set(job.get("needs", "").split()) <= set(workflow["jobs"])
-    for step in steps(workflow):
+    for step in (step for job in workflow["jobs"].values() for step in job["steps"]):
         assert ("run" in step) != ("uses" in step), step
         assert re.fullmatch(r"[\w-]+/[\w-]+@[\w./-]+", step.get("uses", "a/b@v1"))
         # What others write (a title, a branch's name) would be run: it has to come through the environment.

@@ -197,3 +197,9 @@ def test_every_test_that_a_page_names_is_there() -> None:
     assert len(named) == text.count("::test_") > 100
     for file, test in sorted(set(named)):
         assert f"\ndef {test}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}::{test}"
+
+
+def test_every_file_that_the_architecture_names_is_there() -> None:
+    files = [path.as_posix() for room in ("eldata", "capture", "tests", "docs") for path in (ROOT / room).rglob("*.*")]
+    names = re.findall(r"`([\w/]+\.(?:py|toml))`", (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8"))
+    assert [name for name in names if not any(file.endswith(f"/{name}") for file in files)] == []

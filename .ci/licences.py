@@ -33,13 +33,11 @@ _LONGEST = 60
 HEAD = """# Licences of the dependencies
 
 eldata is under the [MIT licence](../LICENSE). It is installed with the packages below and contains none of their code.
-`make licences` writes this page from what the locked packages state of themselves (`License-Expression`, `License` or
-the classifiers of their metadata); a test holds it against them.
+`make licences` writes this page from the metadata of the locked packages.
 
-A wheel may bring compiled libraries whose licences its metadata do not repeat. rawpy brings LibRaw (LGPL-2.1 or
-CDDL-1.0), h5py HDF5 (a BSD licence), imagecodecs and hdf5plugin a library for each codec, numpy and scipy OpenBLAS
-(BSD-3-Clause) and, on Linux, the runtime of GCC (GPL-3.0 with its exception for runtimes). Their texts are in each
-wheel's own folder `*.dist-info`, or where that says.
+A wheel may bring compiled libraries: rawpy LibRaw (LGPL-2.1 or CDDL-1.0), h5py HDF5 (a BSD licence), imagecodecs and
+hdf5plugin a library for each codec, numpy and scipy OpenBLAS (BSD-3-Clause) and, on Linux, the runtime of GCC (GPL-3.0
+with its exception for runtimes). Their texts are in each wheel's folder `*.dist-info`, or where that says.
 
 """
 

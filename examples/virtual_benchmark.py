@@ -91,7 +91,7 @@ def picture_radiance(name: str, height: int, width: int) -> NDArray[np.float32]:
     """Return a picture's middle, scaled, as linear light: float32 (3, height, width), sRGB primaries, 0 to 1."""
     folder = picture_folder()
     if folder is None:
-        raise EldataError(f"the picture {name} is scikit-image's: pip install 'eldata[baselines]'")
+        raise EldataError(f"the picture {name} is scikit-image's: pip install scikit-image")
     with Image.open(folder / name) as image:
         srgb = np.asarray(image.convert("RGB"))
     high, wide = srgb.shape[:2]

@@ -10,11 +10,10 @@ them otherwise. What a trial demands:
   undisturbed run, to the bit, and nothing else. (HDF5 stores are compared by all that is in them: the library numbers
   its blocks otherwise when a file is opened twice.)
 
-Commands run in forks of this process, which has imported all that they need: the whole time of a fork is work. Every
-twentieth has two workers where the command has any. Of the others each second one is ended some time after its begin,
-drawn over the time that the command takes; the rest by themselves, before a step that changes a folder (a file that is
-opened to be written, renamed, linked or removed, a new folder), drawn over the steps of the command: the moments that
-matter may be a thousandth of its time.
+Commands run in forks of this process, which has imported all that they need: the whole time of a fork is work. Each
+second one is ended some time after its begin, drawn over the time that the command takes; the others by themselves,
+before a step that changes a folder (a file that is written, renamed, linked or removed, a new folder), drawn
+over the steps of the command: the moments that matter may be a thousandth of its time.
 """
 
 from __future__ import annotations
@@ -32,12 +31,11 @@ import tempfile
 import threading
 import time
 import traceback
-from collections import Counter
 from contextlib import chdir, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
 from tqdm import tqdm
@@ -49,9 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 ROOT = Path(__file__).parents[1]
-WITH_WORKERS = 20  # each so-manyth trial has two worker processes
 STEPS = frozenset(("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.truncate", "os.utime"))
-JOBS = "{jobs}"
 
 
 # --- the commands -----------------------------------------------------------------------------------------------------
@@ -66,12 +62,9 @@ class Case:
     inputs: Callable[[Path], object]
     copied: str = ""
 
-    def command(self, jobs: int) -> list[str]:
-        return self.arguments.replace(JOBS, str(jobs)).split()
-
-    def main(self) -> Callable[[list[str] | None], int]:
-        main: Callable[[list[str] | None], int] = import_module(f"{self.program}.cli.main").main
-        return main
+    def main(self) -> int:
+        main: Callable[[list[str]], int] = import_module(f"{self.program}.cli.main").main
+        return main(self.arguments.split())
 
 
 def demo_tree(folder: Path) -> None:
@@ -114,29 +107,25 @@ def memory_card(folder: Path) -> None:
 
 ELD = "--root ../inputs/tree/data --manifest ../inputs/tree/manifests/eld-demo.csv"
 CASES = {
-    "pack": Case("eldata", f"pack eld-demo -o store.h5 {ELD} --jobs {JOBS}", demo_tree),
-    "pack-lz4": Case("eldata", f"pack ../inputs/clean -o store.h5 --compression lz4 --jobs {JOBS}", clean_raws),
+    "pack": Case("eldata", f"pack eld-demo -o store.h5 {ELD} --jobs 1", demo_tree),
+    "pack-lz4": Case("eldata", "pack ../inputs/clean -o store.h5 --compression lz4 --jobs 1", clean_raws),
     "lock": Case(
-        "eldata", f"lock manifests/eld-demo.csv --root ../inputs/tree/data --jobs {JOBS}", demo_tree, "tree/manifests"
+        "eldata", "lock manifests/eld-demo.csv --root ../inputs/tree/data --jobs 1", demo_tree, "tree/manifests"
     ),
     "synthesize": Case(
-        "eldata", f"synthesize ../inputs/clean -o set --camera SonyA7S2 --per-image 2 --jobs {JOBS}", clean_raws
+        "eldata", "synthesize ../inputs/clean -o set --camera SonyA7S2 --per-image 2 --jobs 1", clean_raws
     ),
-    "evaluate": Case(
-        "eldata", f"evaluate ../inputs/preds ../inputs/others {ELD} -o results --jobs {JOBS}", predictions
-    ),
-    "baseline": Case("eldata", f"baseline input {ELD} -o preds --jobs {JOBS}", demo_tree),
+    "evaluate": Case("eldata", f"evaluate ../inputs/preds ../inputs/others {ELD} -o results --jobs 1", predictions),
+    "baseline": Case("eldata", f"baseline input {ELD} -o preds --jobs 1", demo_tree),
     "predict": Case(
         "eldata", f"predict tests.baselines.test_predicting:halved {ELD} -o preds --tile 16 --overlap 0", demo_tree
     ),
     "calibrate": Case(
-        "eldata",
-        f"calibrate ../inputs/frames/data/calibration -o p.json --json d.json --jobs {JOBS}",
-        calibration_frames,
+        "eldata", "calibrate ../inputs/frames/data/calibration -o p.json --json d.json --jobs 1", calibration_frames
     ),
     "capture-manifest": Case(
         "capture",
-        f"manifest ../inputs/plan.json ../inputs/card -o manifests/mine.csv --copy-to data/mine --jobs {JOBS}",
+        "manifest ../inputs/plan.json ../inputs/card -o manifests/mine.csv --copy-to data/mine --jobs 1",
         memory_card,
     ),
 }
@@ -145,8 +134,7 @@ CASES = {
 # --- running ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass
-class Run:
+class Run(NamedTuple):
     """A run of a command in its folder: how it ended, negative by a signal, and what it said on standard error."""
 
     code: int
@@ -177,34 +165,30 @@ class Bench:
     base: Path
     first: dict[str, str] = field(default_factory=dict)
     expected: dict[str, str] = field(default_factory=dict)
-    seconds: dict[int, float] = field(default_factory=dict)
+    seconds: float = 0.0
     steps: int = 0
 
     @property
     def folder(self) -> Path:
         return self.base / "run"
 
-    def prepare(self, most_jobs: int) -> list[str]:
-        """Make the inputs, run the command undisturbed, in several ways; return what is wrong already."""
+    def prepare(self) -> list[str]:
+        """Make the inputs, run the command undisturbed, here and in a fork; return what is wrong already."""
         (self.base / "inputs").mkdir()
         self.case.inputs(self.base / "inputs")
         self.begin()
         self.first = self.contents()
         with chdir(self.folder), redirect_stdout(io.StringIO()):
-            self.case.main()(self.case.command(1))  # what is imported and compiled now, forks have
+            self.case.main()  # what is imported and compiled now, forks have
         self.expected = self.contents()
-        for jobs in range(1, most_jobs + 1):
-            self.begin()
-            begun = time.monotonic()
-            run = self.run(jobs=jobs)
-            self.seconds[jobs] = time.monotonic() - begun
-            if run.code != 0:
-                return [f"undisturbed: exit code {run.code}: {run.said}"]
-            if self.contents() != self.expected:
-                return [f"undisturbed runs differ: {self.different()}"]
-            if jobs == 1:
-                self.steps = int((self.base / "steps").read_text(encoding="utf-8"))
-        return []
+        self.begin()
+        begun = time.monotonic()
+        run = self.run()
+        self.seconds = time.monotonic() - begun
+        if run.code != 0:
+            return [f"undisturbed: exit code {run.code}: {run.said}"]
+        self.steps = int((self.base / "steps").read_text(encoding="utf-8"))
+        return [f"undisturbed runs differ: {self.different()}"] if self.different() else []
 
     def begin(self) -> None:
         """Empty the folder, but for what is there at first."""
@@ -214,7 +198,7 @@ class Bench:
             copied = self.base / "inputs" / self.case.copied
             shutil.copytree(copied, self.folder / copied.name)
 
-    def run(self, *, jobs: int = 1, number: int = 0, after_s: float = 0.0, step: int = 0) -> Run:
+    def run(self, *, number: int = 0, after_s: float = 0.0, step: int = 0) -> Run:
         """Run the command; send it a signal some time after its begin, or before a step, counted from 1."""
         log = self.base / "log"
         log.write_bytes(b"")
@@ -223,7 +207,7 @@ class Bench:
         pid = os.fork()
         if not pid:
             try:
-                self._be(log, jobs, Steps(number, step))
+                self._be(log, Steps(number, step))
             finally:  # a Ctrl-C just before the work, or after it; whatever it was, a fork must not come back
                 signal.signal(signal.SIGINT, signal.SIG_DFL)
                 os.kill(os.getpid(), signal.SIGINT)
@@ -236,7 +220,7 @@ class Bench:
         until(lambda: not marked(f"KILLS={self.base}"), "the end of every process of a command")
         return Run(os.waitstatus_to_exitcode(status), log.read_text(encoding="utf-8"))
 
-    def _be(self, log: Path, jobs: int, steps: Steps) -> NoReturn:
+    def _be(self, log: Path, steps: Steps) -> NoReturn:
         """Be the command, in a fork; each process that it starts has ``KILLS`` in its environment."""
         code = 99
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -250,9 +234,8 @@ class Bench:
             os.dup2(nowhere, 1)
             os.dup2(os.open(log, os.O_WRONLY), 2)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # what it raises is in the log
-            sys.argv = [self.case.program, *self.case.command(jobs)]
             sys.addaudithook(steps.see)
-            code = self.case.main()(None)
+            code = self.case.main()
         except BaseException:  # noqa: BLE001 # a fork must not come back
             traceback.print_exc()
         finally:
@@ -308,54 +291,42 @@ def marked(mark: str) -> list[str]:
 # --- trials -----------------------------------------------------------------------------------------------------------
 
 
-def trials(bench: Bench, count: int, number: int, generator: random.Random) -> tuple[Counter[str], list[str]]:
-    """End a command so many times; return what was counted, and what was wrong."""
-    counted: Counter[str] = Counter()
-    wrong: list[str] = []
-    while counted["ended"] < count and counted["runs"] < 20 * count + 100 and len(wrong) < 20:
-        counted["runs"] += 1
-        jobs = 2 if counted["ended"] % WITH_WORKERS == WITH_WORKERS - 1 else 1
-        after_s = generator.uniform(0.0, bench.seconds[jobs])
-        step = generator.randint(1, bench.steps) if jobs == 1 and counted["ended"] % 2 else 0
+def trials(bench: Bench, count: int, number: int, generator: random.Random) -> tuple[int, list[str]]:
+    """End a command so many times; return how often that left unfinished work, and what was wrong."""
+    ended, unfinished, wrong = 0, 0, []
+    for _ in range(20 * count + 100):
+        if ended == count or len(wrong) > 20:
+            return unfinished, wrong
+        after_s = generator.uniform(0.0, bench.seconds)
+        step = generator.randint(1, bench.steps) if ended % 2 else 0
         bench.begin()
-        run = bench.run(jobs=jobs, number=number, after_s=after_s, step=step)
+        run = bench.run(number=number, after_s=after_s, step=step)
         if run.code == 0:
             continue  # it was faster this time
-        counted["ended"] += 1
+        ended += 1
+        unfinished += bench.contents() not in (bench.first, bench.expected)
         moment = f"before step {step} of {bench.steps}" if step else f"after {after_s:.3f} s"
-        wrong += [f"{jobs} jobs, {moment}: {text}" for text in wrong_of(bench, run, number, counted, jobs)]
-    if counted["ended"] < count:
-        wrong.append(f"ended only {counted['ended']} times")
-    return counted, wrong
+        wrong += [f"{moment}: {text}" for text in wrong_of(bench, run, number)]
+    return unfinished, [*wrong, f"ended only {ended} times"]
 
 
-def wrong_of(bench: Bench, run: Run, number: int, counted: Counter[str], jobs: int) -> list[str]:
+def wrong_of(bench: Bench, run: Run, number: int) -> list[str]:
     """What is wrong after a signal, and after the same command was run again."""
-    wrong = []
-    dirty = bench.half_written()
+    wrong = [f"half written: {bench.half_written()}"] if bench.half_written() else []
     temporary = [name for name in bench.contents() if name.endswith(".part") and Path(name).name.startswith(".")]
-    counted["left unfinished work"] += bench.contents() not in (bench.first, bench.expected)
-    counted["left a temporary file"] += bool(temporary)
-    if dirty:
-        wrong.append(f"half written: {dirty}")
     if number == signal.SIGKILL:
-        if run.code != -signal.SIGKILL:
-            wrong.append(f"exit code {run.code}: {run.said}")
+        well = run.code == -signal.SIGKILL
     else:
         # before the command runs, or once it is over
         early = (run.code == -number and not run.said) or run.said.endswith("\nKeyboardInterrupt\n")
-        counted["before or after the work"] += early
-        if run.code != 128 + number and not early:
-            wrong.append(f"exit code {run.code}: {run.said}")
-        if run.said.count("\n") != 1 and not early:
-            wrong.append(f"said {run.said[-1000:]!r}")
-        if temporary:
-            wrong.append(f"left {temporary}")
-    again = bench.run(jobs=jobs)
-    done = bench.contents() == bench.expected
-    if again.code != 0 and not (again.code == 2 and "already" in again.said and done):
+        well = early or (run.code == 128 + number and run.said.count("\n") == 1)
+        wrong += [f"left {temporary}"] if temporary else []
+    if not well:
+        wrong.append(f"exit code {run.code}: {run.said[-1000:]}")
+    again = bench.run()
+    if again.code != 0 and not (again.code == 2 and "already" in again.said):
         wrong.append(f"run again: exit code {again.code}: {again.said}")
-    if not done:
+    if bench.different():
         wrong.append(f"run again: {bench.different()}")
     return wrong
 
@@ -381,16 +352,13 @@ def main(argv: list[str] | None = None) -> int:
     for name in arguments.commands or CASES:
         with tempfile.TemporaryDirectory() as folder:
             bench = Bench(CASES[name], Path(folder))
-            wrong = bench.prepare(2 if arguments.trials >= WITH_WORKERS else 1)
+            wrong = bench.prepare()
             for word in arguments.signals if not wrong else ():
-                number = signal.Signals[f"SIG{word}"]
                 generator = random.Random(f"{name} {arguments.seed}")  # noqa: S311 # moments, no secrets
-                begun = time.monotonic()
-                counted, found = trials(bench, arguments.trials, number, generator)
-                rest = ", ".join(f"{value} {key}" for key, value in counted.items() if key not in ("ended", "runs"))
+                unfinished, found = trials(bench, arguments.trials, signal.Signals[f"SIG{word}"], generator)
                 print(
-                    f"{name}: {counted['ended']} times {number.name} in {counted['runs']} runs ({rest}); "
-                    f"{len(found)} wrong; seed {arguments.seed}; {time.monotonic() - begun:.0f} s",
+                    f"{name}: {arguments.trials} times SIG{word} left unfinished work {unfinished} times; "
+                    f"{len(found)} wrong; seed {arguments.seed}",
                     flush=True,
                 )
                 wrong += found

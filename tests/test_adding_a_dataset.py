@@ -48,44 +48,36 @@ def apply_change(text: str, change: str) -> str:
     return text
 
 
-class Place:
-    """A folder in which a section's blocks are executed; what lies in ``source`` is imported first."""
+def run(folder: Path, commands: str, source: Path) -> str:
+    """Run shell commands in a folder, with what lies in ``source`` imported first; return what they print."""
+    environment = {name: value for name, value in os.environ.items() if name != "ELDATA_ROOT"}
+    environment |= {"PYTHONPATH": str(source), "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    command = ["/bin/bash", "-euc", f"exec 2>&1\n{commands}"]
+    done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stdout
+    return done.stdout
 
-    def __init__(self, folder: Path, source: Path) -> None:
-        self.folder = folder
-        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-        self._environment = {**os.environ, "PYTHONPATH": str(source), "PATH": path}
-        self._environment.pop("ELDATA_ROOT", None)
 
-    def run(self, commands: str) -> str:
-        """Run shell commands; what they print."""
-        command = ["/bin/bash", "-euc", f"exec 2>&1\n{commands}"]
-        done = subprocess.run(
-            command, cwd=self.folder, env=self._environment, stdout=subprocess.PIPE, text=True, timeout=PATIENCE_S
-        )
-        assert done.returncode == 0, done.stdout
-        return done.stdout
-
-    def execute(self, blocks: list[Block]) -> str:
-        """Take blocks in their order; what the commands print."""
-        printed = ""
-        for block in blocks:
-            path = self.folder / block.path
-            if block.kind == "sh":
-                printed += self.run(block.text)
-            elif block.kind == "diff":
-                path.write_text(apply_change(path.read_text(encoding="utf-8"), block.text), encoding="utf-8")
-            else:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_text(block.text, encoding="utf-8")
-        return printed
+def execute(folder: Path, blocks: list[Block], source: Path) -> str:
+    """Take blocks in their order; return what the commands print."""
+    printed = ""
+    for block in blocks:
+        path = folder / block.path
+        if block.kind == "sh":
+            printed += run(folder, block.text, source)
+        elif block.kind == "diff":
+            path.write_text(apply_change(path.read_text(encoding="utf-8"), block.text), encoding="utf-8")
+        else:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(block.text, encoding="utf-8")
+    return printed
 
 
 # --- a set of one's own -----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def mine(tmp_path: Path) -> Place:
+def mine(tmp_path: Path) -> Path:
     """A folder with two scenes in data/MINE."""
     generator = np.random.default_rng(3)
     sensor = Sensor("MAKER", "MODEL 3", ((0, 1), (3, 2)), (512.0,) * 4, 16300.0, 32, 48)
@@ -97,30 +89,28 @@ def mine(tmp_path: Path) -> Place:
             mosaic = np.rint(light / factor + 512 + generator.normal(0, 3, light.shape)).clip(0).astype(np.uint16)
             iso, seconds = (Fraction(100), Fraction(4)) if factor == 1 else (Fraction(1600), Fraction(1, 4 * factor))
             write_dng(folder / f"{name}.dng", mosaic, sensor, Exposure(iso, seconds))
-    return Place(tmp_path, ROOT)
+    return tmp_path
 
 
-def test_your_own_files_and_a_package_of_yours(mine: Place) -> None:
-    printed = mine.execute(blocks("Your own files"))
+def test_your_own_files_and_a_package_of_yours(mine: Path) -> None:
+    printed = execute(mine, blocks("Your own files"), ROOT)
     assert "mine: 6 of 6 files checked (metadata) in data/MINE: all well" in printed
     assert "PairDataset(place: data/MINE; pairs: 4 of 2 scenes; cameras: MODEL3" in printed
     assert "4 of 4 pairs" in printed
-    assert "sha256:" in (mine.folder / "mine.csv").read_text()
+    assert "sha256:" in (mine / "mine.csv").read_text()
 
-    package = blocks("From your own package")
-    files, (commands,) = package[:-1], package[-1:]
-    mine.execute(files)
+    *files, commands = blocks("From your own package")
+    execute(mine, files, ROOT)
     for name in ("mine.csv", "mine.json"):
-        shutil.copy(mine.folder / name, mine.folder / "hallway" / name)
+        shutil.copy(mine / name, mine / "hallway" / name)
     # What pip leaves of the project file, so that no package index is needed.
-    (project,) = [tomllib.loads(block.text)["project"] for block in files if block.path == "pyproject.toml"]
-    info = mine.folder / "hallway-1.0.dist-info"
+    project = tomllib.loads((mine / "pyproject.toml").read_text())["project"]
+    ((name, place),) = project["entry-points"]["eldata.datasets"].items()
+    info = mine / "hallway-1.0.dist-info"
     info.mkdir()
     info.joinpath("METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 1.0\n")
-    for group, points in project["entry-points"].items():
-        lines = [f"{name} = {place}\n" for name, place in points.items()]
-        info.joinpath("entry_points.txt").write_text(f"[{group}]\n{''.join(lines)}")
-    printed = mine.run(f'export PYTHONPATH="$PWD:$PYTHONPATH"\n{commands.text}')  # as if it were installed
+    info.joinpath("entry_points.txt").write_text(f"[eldata.datasets]\n{name} = {place}\n")
+    printed = run(mine, f'export PYTHONPATH="$PWD:$PYTHONPATH"\n{commands.text}', ROOT)  # as if it were installed
     assert printed.startswith("HallwayDataset(place: data/MINE; pairs: 4 of 2 scenes")
     assert "\nmine: 2 scenes taken with MODEL3 (manifest version 1.0)" in printed
     assert "mine: 6 of 6 files checked (quick) in data/MINE: all well" in printed
@@ -130,21 +120,16 @@ def test_your_own_files_and_a_package_of_yours(mine: Place) -> None:
 # --- a set in eldata --------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def checkout(tmp_path: Path) -> Place:
-    """A copy of the sources, with what is compiled of them already, but not by pytest, nor half written."""
+def test_a_published_set_in_eldata(tmp_path: Path) -> None:
+    """In a copy of the sources, with what is compiled of them already, but not by pytest, nor half written."""
     for name in ("eldata", "tests", "manifests"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("*-pytest-*.pyc", "*.pyc.*"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    return Place(tmp_path, tmp_path)
-
-
-def test_a_published_set_in_eldata(checkout: Place) -> None:
-    found = blocks("In eldata")
-    printed = checkout.execute(found)
+    changes = blocks("In eldata")
+    printed = execute(tmp_path, changes, tmp_path)
     assert "night: Two cameras at night (NIGHT) (manifest version 1.0)" in printed
     assert "night: 20 of 20 files checked (full) in data/NIGHT: all well" in printed
     assert re.search(r"^[0-9]+ passed, [0-9]+ deselected", printed, re.MULTILINE)
     assert "night, protocol night: 4 of 4 pairs" in printed
-    sources = " ".join(block.path for block in found if block.path.endswith((".py", ".pyi")))
-    checkout.run(f"ruff check --no-cache {sources}\nruff format --no-cache --check {sources}")
+    sources = " ".join(block.path for block in changes if block.path.endswith(".py"))
+    run(tmp_path, f"ruff check --no-cache {sources}\nruff format --no-cache --check {sources}", tmp_path)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import re
-import subprocess
-import sys
-import tarfile
 import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +13,8 @@ import yaml
 
 import eldata
 from eldata.manifest import shipped_manifest
+from tests.cases import in_one_test
 from tests.shared import there
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -25,8 +22,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.name != "config.yml")
-PROSE = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md"]
-PROSE += ["docs/reliability.md", "docs/licences.md", "docs/paper.md"]
+PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
@@ -73,16 +69,11 @@ def test_a_form_is_well_formed(path: Path) -> None:
     assert len(ids) == len(set(ids))
     for field in form["body"]:
         assert field["type"] in ("input", "textarea", "checkboxes", "markdown")
-        assert isinstance(field["attributes"]["value" if field["type"] == "markdown" else "label"], str)
-        for option in field["attributes"].get("options", ()):
-            assert isinstance(option["label"], str)
+        texts = [field["attributes"], *field["attributes"].get("options", ())]
+        assert all(isinstance(text.get("label", text.get("value")), str) for text in texts)
 
 
 # --- workflows and hooks ------------------------------------------------------------------------------------------
-
-
-def steps(workflow: Any) -> list[dict[str, Any]]:
-    return [step for job in workflow["jobs"].values() for step in job["steps"]]
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
@@ -93,18 +84,13 @@ def test_a_workflow_is_well_formed(path: Path) -> None:
     for job in workflow["jobs"].values():
         assert job["runs-on"]
         assert set(job.get("needs", "").split()) <= set(workflow["jobs"])
-    for step in steps(workflow):
+    for step in (step for job in workflow["jobs"].values() for step in job["steps"]):
         assert ("run" in step) != ("uses" in step), step
         assert re.fullmatch(r"[\w-]+/[\w-]+@[\w./-]+", step.get("uses", "a/b@v1"))
         # What others write (a title, a branch's name) would be run: it has to come through the environment.
         assert "${{" not in step.get("run", "")
-
-
-def test_every_file_that_a_workflow_names_is_there() -> None:
-    words = [word for path in WORKFLOWS for step in steps(parsed(path)) for word in step.get("run", "").split()]
-    files = {word for word in words if re.match(r"(tests|\.ci|manifests|docs)/", word)}
-    assert files
-    assert [name for name in files if not (ROOT / name).exists()] == []
+        files = [word for word in step.get("run", "").split() if re.match(r"(tests|\.ci|manifests|docs)/", word)]
+        assert [name for name in files if not (ROOT / name).exists()] == []
 
 
 def test_each_python_of_the_classifiers_is_tested() -> None:
@@ -194,37 +180,26 @@ def anchors(path: Path) -> set[str]:
     return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("name", PROSE)
-def test_links_lead_somewhere(name: str) -> None:
-    page = ROOT / name
+@in_one_test("page", PAGES)
+def test_links_lead_somewhere(page: Path) -> None:
     for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
         if link.startswith("https://"):
             continue
         file, _, anchor = link.partition("#")
         target = page.parent / file if file else page
         assert target.exists(), link
-        assert not anchor or anchor in anchors(target), link
+        assert not anchor or target.suffix != ".md" or anchor in anchors(target), link
 
 
-def test_every_test_that_the_page_on_reliability_names_is_there() -> None:
-    page = (ROOT / "docs" / "reliability.md").read_text(encoding="utf-8")
-    rows = [line for line in page.splitlines() if line.startswith("| ") and "::" in line]
-    assert len(rows) > 30
-    assert [row for row in rows if not re.search(r"`tests/\S+\.py::test_\w+`", row)] == []
-    named = set(re.findall(r"`(tests/\S+\.py)::(test_\w+)`", page))
-    for file, test in sorted(named):
+def test_every_test_that_a_page_names_is_there() -> None:
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    named = re.findall(r"`(tests/\S+\.py)::(test_\w+)`", text)
+    assert len(named) == text.count("::test_") > 100
+    for file, test in sorted(set(named)):
         assert f"\ndef {test}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}::{test}"
 
 
-def test_the_source_archive_holds_what_its_tests_read(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
-    assert done.returncode == 0, done.stderr
-    (built,) = tmp_path.glob("*.tar.gz")
-    with tarfile.open(built) as archive:
-        held = {name.partition("/")[2] for name in archive.getnames()}
-    files = [*PROSE, "CITATION.cff", "LICENSE", "Makefile", "constraints.txt", "pyproject.toml"]
-    files += ["requirements-dev.txt", ".ci/uv.toml", ".ci/licences.py"]
-    files += [".pre-commit-config.yaml", ".ci/run", ".ci/lowest.py", ".ci/release.py", "tests/conftest.py"]
-    files += [path.relative_to(ROOT).as_posix() for path in [*WORKFLOWS, *FORMS]]
-    assert [name for name in files if name not in held] == []
+def test_every_file_that_the_architecture_names_is_there() -> None:
+    files = [path.as_posix() for room in ("eldata", "capture", "tests", "docs") for path in (ROOT / room).rglob("*.*")]
+    names = re.findall(r"`([\w/]+\.(?:py|toml))`", (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8"))
+    assert [name for name in names if not any(file.endswith(f"/{name}") for file in files)] == []

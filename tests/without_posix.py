@@ -57,9 +57,11 @@ def import_everything() -> None:
                 importlib.import_module(module.name)
 
 
-def commands(parser: argparse.ArgumentParser, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """Yield the words of each command, and of each command's commands."""
-    yield words
+def commands(
+    parser: argparse.ArgumentParser, words: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], argparse.ArgumentParser]]:
+    """Yield the words and the parser of each command, and of each command's commands."""
+    yield words, parser
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for name, below in action.choices.items():
@@ -70,7 +72,7 @@ def show_help(program: str) -> int:
     """Ask each command of a program for help; return how many there are."""
     main = importlib.import_module(f"{program}.cli.main")
     every = list(commands(main.parser()))
-    for words in every:
+    for words, _ in every:
         with contextlib.redirect_stdout(io.StringIO()) as shown:
             main.main([*words, "--help"])
         if f"usage: {program}" not in shown.getvalue():

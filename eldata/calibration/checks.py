@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.calibration.bias_sums import LAGS
-from eldata.calibration.findings import (
+from eldata.calibration.flats import straight_line
+from eldata.calibration.iso_results import (
     CHANCE,
     CLIPPED,
     COARSE,
@@ -27,7 +28,6 @@ from eldata.calibration.findings import (
     SATURATION,
     SHAPE,
 )
-from eldata.calibration.flats import straight_line
 from eldata.calibration.residuals import read_noise
 from eldata.calibration.tukey_lambda import NEARLY_NORMAL, Ripple
 from eldata.noise.parameters import tukey_lambda_variance
@@ -35,11 +35,16 @@ from eldata.noise.parameters import tukey_lambda_variance
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from eldata.calibration.bias_sums import BiasStatistics, BiasSums, ResidualHistogram
-    from eldata.calibration.findings import Finding, Quantity
+    from eldata.calibration.bias_sums import (
+        BiasStatistics,
+        BiasSums,
+        ColourBias,
+        LineNoise,
+        ResidualHistogram,
+        RowNoise,
+    )
     from eldata.calibration.flats import FlatPairs, PhotonTransfer, PhotonTransferLine
-    from eldata.calibration.iso_results import IsoCalibration
-    from eldata.calibration.lines import ColourBias, LineNoise, RowNoise
+    from eldata.calibration.iso_results import Finding, IsoCalibration, Quantity
     from eldata.calibration.residuals import ReadNoise
     from eldata.calibration.sums import Counts, Mask, Values
 

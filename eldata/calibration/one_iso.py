@@ -14,7 +14,7 @@ import numpy as np
 from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.calibration.bias_sums import BiasPairs, BiasSums
+from eldata.calibration.bias_sums import BiasPairs, BiasSums, colour_bias, power_spectrum, row_noise
 from eldata.calibration.checks import (
     beside_steps,
     bias_findings,
@@ -28,12 +28,10 @@ from eldata.calibration.checks import (
     uneven_steps,
 )
 from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.findings import CLIPPED, NO_LINE, SHAPE, TRANSFER, accept_findings
 from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
 from eldata.calibration.frames import FrameReader, FramesError, measure_frame, measure_pair, unequal_pair
 from eldata.calibration.held_out import compared_piece, reproduction
-from eldata.calibration.iso_results import IsoCalibration, IsoGain
-from eldata.calibration.lines import colour_bias, power_spectrum, row_noise
+from eldata.calibration.iso_results import CLIPPED, NO_LINE, SHAPE, TRANSFER, IsoCalibration, IsoGain, accept_findings
 from eldata.calibration.residuals import probability_plot, read_noise, single_frame_plot
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
@@ -43,8 +41,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from eldata.calibration.bias_sums import BiasStatistics, ResidualHistogram
-    from eldata.calibration.findings import Finding
     from eldata.calibration.frames import IsoFrames
+    from eldata.calibration.iso_results import Finding
     from eldata.calibration.sums import Mosaic
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, Sensor

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.findings import Finding
-    from eldata.calibration.iso_results import MeasuredFigure
+    from eldata.calibration.iso_results import Finding, MeasuredFigure
     from tests.calibration.faults import Planted
 
 CAMERA = Camera(shape=(512, 768), shading=1.0)

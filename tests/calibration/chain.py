@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from eldata.calibration.findings import Quantity
+    from eldata.calibration.iso_results import Quantity
     from tests.calibration.simulation import Body, Camera
 
 

@@ -16,7 +16,7 @@ from tests.calibration.in_memory import FramesInMemory, calibrated_arrays, iso_f
 from tests.calibration.simulation import XTRANS, Body, Camera
 
 if TYPE_CHECKING:
-    from eldata.calibration.findings import Finding
+    from eldata.calibration.iso_results import Finding
     from eldata.datasets.calibration_frames import CalibrationFrames
 
 # --- values that end at 0 ---------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
-from eldata.calibration.checks import beside_steps
+from eldata.calibration.checks import take_step
 from eldata.calibration.frames import FramesError, check_crop, crop_text, picture_crop, sort_frames
 from eldata.calibration.iso_results import (
     BLACK,
@@ -297,7 +297,7 @@ def _take_common_step(
         )
     elif step > 1:
         remarks.append(f"values step by {step} DN at every ISO: the profile's quantisation_step_dn, for component U")
-    return tuple(beside_steps(record) if record.step_dn == step else record for record in isos), float(step)
+    return tuple(take_step(record) if record.step_dn == step else record for record in isos), float(step)
 
 
 def _find_common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[float | None, float | None]:

@@ -140,6 +140,12 @@ class Check:
         """Return a finding of this check; by default a remark."""
         return Finding(self.name, figures, effect, statistic, threshold, text, allowance)
 
+    def withhold(
+        self, statistic: float, threshold: float, text: str, figures: Quantities = (), allowance: float = 0.0
+    ) -> Finding:
+        """Return the finding that figures are withheld, by default all of this check."""
+        return self.find(statistic, threshold, text, "withheld", figures or self.figures, allowance)
+
     def judge(
         self, statistic: float, threshold: float, text: str, shares: Mapping[Quantity, tuple[float, float]]
     ) -> Iterator[Finding]:
@@ -147,7 +153,7 @@ class Check:
         lost = {figure: share for figure, (share, _) in shares.items() if share > self.most_allowed}
         wider = {figure: share for figure, (share, error) in shares.items() if error < share <= self.most_allowed}
         if lost:
-            yield self.find(statistic, threshold, text, "withheld", tuple(lost), max(lost.values()))
+            yield self.withhold(statistic, threshold, text, tuple(lost), max(lost.values()))
         if wider:
             yield self.find(statistic, threshold, text, "wider", tuple(wider), max(wider.values()))
         if not lost and not wider:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erf
 
-from eldata.calibration.checks import flat_findings, saturation
+from eldata.calibration.checks import find_saturation, flat_findings
 from eldata.calibration.flats import FlatPairs, photon_transfer
 from eldata.demo.body import Body
 from eldata.errors import DatasetError
@@ -158,7 +158,7 @@ def outcome(setting: Setting, pairs: Sequence[Pair]) -> Outcome:
     flats = FlatPairs(setting.cfa, setting.sensor.black_level_dn, WHITE)
     for first, second in pairs:
         flats.add(first, second)
-    piled = tuple(saturation(flats))
+    piled = tuple(find_saturation(flats))
     try:
         transfer = photon_transfer(flats)
     except DatasetError as error:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.calibration.checks import flat_findings, uneven_steps
+from eldata.calibration.checks import find_uneven_steps, flat_findings
 from eldata.calibration.flats import FlatPairs, photon_transfer
 from eldata.raw import bayer_cfa
 from tests.calibration import flats as study
@@ -164,7 +164,7 @@ def test_steps_that_grow_with_the_light(share: float, effect: str | None) -> Non
         ]
         flats.add(*nearest)
     transfer = photon_transfer(flats)
-    found = list(uneven_steps(flats, transfer))
+    found = list(find_uneven_steps(flats, transfer))
     assert [one.effect for one in found] == ([effect] if effect else [])
     gain = given(found, "gain", transfer.gain_dn_per_e, transfer.gain_error, transfer.gain_dn_per_e)
     assert (gain is None) == (effect == "withheld")

@@ -216,7 +216,10 @@ def fixed_pattern(stack: BiasStack) -> FixedPattern:
         level = sum(block[0] * block[1] for block in blocks) / np.maximum(pixels, 1)
         mean = float((level * pixels).sum() / np.sum(pixels))
         dsnu, dsnu_error = _non_uniformity(blocks, variance / frames, variance_error / frames)
-        shading = _with_edges(np.where(pixels > 0, level - mean, 0.0), np.asarray(pixels))
+        shading = np.where(pixels > 0, level - mean, 0.0)
+        for of_edge, counts in ((shading, pixels), (shading.T, np.transpose(pixels))):
+            if len(of_edge) > 1 and not counts[-1].any():  # a last row or column without a pixel
+                of_edge[-1] = of_edge[-2]
         return variance, mean, dsnu, dsnu_error, shading
 
     variances, levels, dsnu, dsnu_error, shading = zip(*map(measure, range(channels)), strict=True)
@@ -297,22 +300,13 @@ def _block_moments(total: NDArray[np.uint32], sound: Mask, grid: tuple[int, ...]
         band, used = total[top : top + _BLOCK], sound[top : top + _BLOCK]
 
         def by_block(values: NDArray[Any], used: Mask = used) -> NDArray[Any]:
-            sums: NDArray[Any] = np.add.reduceat(values.sum(axis=0, where=used), columns)
-            return sums
+            return np.asarray(np.add.reduceat(values.sum(axis=0, where=used), columns))
 
         there = slice(len(columns))
         count[place, there] = by_block(used)
         means[place, there] = by_block(band) / np.maximum(count[place, there], 1)
         squares[place, there] = by_block((band - np.repeat(means[place], _BLOCK)[: band.shape[1]]) ** 2)
     return count, means, squares
-
-
-def _with_edges(levels: Values, pixels: Counts) -> Values:
-    """Return the levels of blocks; a last row or column without a pixel repeats the one before."""
-    for of_edge, counts in ((levels, pixels), (levels.T, pixels.T)):
-        if len(of_edge) > 1 and not counts[-1].any():
-            of_edge[-1] = of_edge[-2]
-    return levels
 
 
 def _find_stuck(stack: BiasStack, scatter: Counts, floor: int) -> Mask:

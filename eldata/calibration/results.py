@@ -259,15 +259,7 @@ class Calibration:
         ArgumentError
             If there is no photon transfer at the ISO, or nothing to draw at all.
         """
-        from eldata.plots.axes import (
-            bar,
-            drawn_grid,
-            gain_over_iso,
-            iso_axis,
-            nothing_to_draw,
-            scale_over_gain,
-            transfer_lines,
-        )
+        from eldata.plots import axes as plots
 
         transfers = {r.iso: (r.channels, r.transfer.channels) for r in self.all_isos if r.transfer is not None}
         known = sorted(transfers)
@@ -279,27 +271,29 @@ class Calibration:
             chosen = known[len(known) // 2] if iso is None else iso
 
             def draw_transfer(axes: Axes, theme: Theme) -> None:
-                transfer_lines(axes, None, *transfers[chosen], theme)
+                plots.transfer_lines(axes, None, *transfers[chosen], theme)
                 axes.set_xlabel("signal [DN]")
 
             draws.append((f"photon transfer, ISO {chosen:g}", draw_transfer))
         if gains := {record.iso: record.gain for record in self.all_isos if record.gain is not None}:
-            values, errors = [gain.value for gain in gains.values()], [bar(gain.error) for gain in gains.values()]
+            values, errors = [gain.value for gain in gains.values()], [plots.bar(gain.error) for gain in gains.values()]
 
             def draw_gains(axes: Axes, theme: Theme) -> None:
-                gain_over_iso(axes, list(gains), values, errors, self.usual_gain_per_iso, theme)
-                iso_axis(axes, list(gains))
+                plots.gain_over_iso(axes, list(gains), values, errors, self.usual_gain_per_iso, theme)
+                plots.iso_axis(axes, list(gains))
 
             draws.append(("system gain", draw_gains))
         for panel in self.scale_panels:
 
             def draw_scales(axes: Axes, theme: Theme, panel: ScalePanel = panel) -> None:
-                scale_over_gain(axes, panel.name, panel.spans, panel.points, theme)
+                plots.scale_over_gain(axes, panel.name, panel.spans, panel.points, theme)
 
             draws.append(("row noise" if panel.name == "row" else f"read noise, {panel.name}", draw_scales))
         if not draws:
-            raise nothing_to_draw(f"the calibration of {self.camera}", "no ISO has flats or both K and bias frames")
-        return drawn_grid(f"Calibration of {self.camera}", draws)
+            raise plots.nothing_to_draw(
+                f"the calibration of {self.camera}", "no ISO has flats or both K and bias frames"
+            )
+        return plots.drawn_grid(f"Calibration of {self.camera}", draws)
 
 
 @dataclass(frozen=True, slots=True)

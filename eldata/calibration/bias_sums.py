@@ -1,8 +1,13 @@
-"""The second pass over the bias frames, a frame at a time, each less what the first one has found to stay.
+"""The second pass over the bias frames, a frame at a time: row noise sigma_row, colour bias mu_c, sums for the rest.
 
 :class:`BiasSums` takes each pixel's own mean off, and with it every fixed pattern
 (:mod:`eldata.calibration.defects`); what is left tells colour bias, row noise and read noise. :class:`BiasPairs`
 sums up, of frames taken two by two, what the checks look at.
+
+sigma_row is the standard deviation of one random offset per mosaic row and frame (Wei et al., TPAMI 2021, section
+3.2.1, figures 5 and 6); noise of the columns is measured likewise. The factor n / (n - 1) makes up for what taking off
+each pixel's mean takes from the noise. mu_c is by how much the mean of a bias frame differs from the recorded black
+level, per channel (section 3.2.1, figure 4).
 """
 
 from __future__ import annotations
@@ -15,22 +20,26 @@ import numpy as np
 
 from eldata.calibration.sums import (
     channel_histograms,
+    channels_of,
     checked_mosaic,
     groups_of_rows,
     lag_products,
     levels_and_lines,
     residual_histogram,
     residual_sums,
+    sites,
     standardise,
     sums_by_row,
 )
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from eldata.calibration.defects import FixedPattern
-    from eldata.calibration.sums import Counts, Mosaic, Values
+    from eldata.calibration.sums import Counts, Mosaic, Plane, Values
 
 CELLS_PER_SIGMA = 20
 """Of a histogram of residuals."""
@@ -120,12 +129,9 @@ class BiasSums:
         sound, total = ~fixed.defects, np.where(fixed.defects, 0, fixed.total_dn)
         self.row_pixels, self.row_totals = (sums_by_row(values, fixed.pattern) for values in (sound, total))
         self.column_pixels, self.column_totals = (sums_by_row(each.T, fixed.pattern.T) for each in (sound, total))
-        self.rows_dn: list[Values] = []
-        self.columns_dn: list[Values] = []
-        self.means_dn: list[Values] = []
-        self.sound_means_dn: list[Values] = []
-        self.squares = 0.0
-        self.at_floor = 0
+        lists: tuple[list[Values], ...] = [], [], [], []
+        self.rows_dn, self.columns_dn, self.means_dn, self.sound_means_dn = lists
+        self.squares, self.at_floor = 0.0, 0
         self._defects = np.flatnonzero(fixed.defects)
         down, across = np.divmod(self._defects, fixed.defects.shape[1])
         self._defect_channels = fixed.pattern[down % len(fixed.pattern), across % len(fixed.pattern)]
@@ -175,11 +181,8 @@ class BiasSums:
 
     def check_frames(self) -> None:
         """Raise a DatasetError unless the second pass saw as many frames as the first."""
-        added, frames = len(self.means_dn), self.fixed.frames
-        if added != frames:
-            raise DatasetError(
-                f"{added} frames were added and the fixed pattern comes from {frames}: add the same frames again"
-            )
+        if (added := len(self.means_dn)) != (frames := self.fixed.frames):
+            raise DatasetError(f"{added} frames were added, the pattern is of {frames}: add the same frames again")
 
     def residuals(self) -> ResidualHistogram:
         """Return the counts so far.
@@ -187,16 +190,10 @@ class BiasSums:
         Raises
         ------
         DatasetError
-            If the frames added are not those of the fixed pattern, or black is too close to the floor.
+            If the frames added are not those of the fixed pattern.
         """
         self.check_frames()
         fixed, frames = self.fixed, self.fixed.frames
-        if fixed.clips_at_black:
-            raise DatasetError(
-                f"the black level ({min(fixed.level_dn):.1f} DN) is too close to {fixed.floor_dn} DN for noise of "
-                f"{math.sqrt(max(fixed.temporal_variance_dn2)):.1f} DN: much of it is clipped, and residuals do not "
-                "show it"
-            )
         return ResidualHistogram(
             self._counts.copy(),
             self._step / frames,
@@ -234,6 +231,286 @@ def count_frame(mosaic: Mosaic, fixed: FixedPattern) -> tuple[Values, Counts]:
     nothing = np.broadcast_to(np.uint32(0), mosaic.shape)
     residual_histogram(mosaic, nothing, fixed.defects, units, offsets, step, counts)
     return np.asarray((np.arange(2 * _HALF + 1) - _HALF) * (step / units), dtype=np.float64), counts[0]
+
+
+# --- row noise and colour bias ----------------------------------------------------------------------------------------
+
+_BY_CHANCE = 1e-3  # of the frames' scatter
+_FREQUENCIES = 80
+_FREQUENCIES_TOGETHER = 4  # at least: a single one scatters by all of itself
+_SHAPIRO_VALUES = 5000  # up to which the Shapiro-Wilk test's p is accurate; more are thinned evenly
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LineNoise:
+    """Noise of the rows, or of the columns.
+
+    Attributes
+    ----------
+    sigma_dn, sigma_error_dn
+        Standard deviation and its standard error, DN; 0 where the pixels' own noise explains all of it, with the error
+        then the scale that would just have been seen.
+    variance_dn2, variance_error_dn2
+        Of the lines' recorded means, less the share of the pixels' noise; may be negative.
+    fixed_sigma_dn
+        Standard deviation of the fixed pattern of the lines (shading included), the noise's share taken off.
+    shapiro_p, shapiro_values
+        P-value of the Shapiro-Wilk test of normality, and of how many values.
+    excess_kurtosis
+        Of the line means; 0 for a normal distribution.
+    quantiles, ordered_dn
+        Normal probability plot: theoretical quantiles and ordered line means.
+    r_squared
+        Of that plot.
+    frequency, power_dn2
+        Average periodogram of the lines, cycles per line and DN^2; white noise of variance s^2 gives s^2 throughout.
+    deviations_dn
+        (frames, lines): the line means themselves.
+    fixed_dn
+        (lines,): the fixed pattern.
+    """
+
+    sigma_dn: float
+    sigma_error_dn: float
+    variance_dn2: float
+    variance_error_dn2: float
+    fixed_sigma_dn: float
+    shapiro_p: float
+    shapiro_values: int
+    excess_kurtosis: float
+    quantiles: Values = field(repr=False)
+    ordered_dn: Values = field(repr=False)
+    r_squared: float
+    frequency: Values = field(repr=False)
+    power_dn2: Values = field(repr=False)
+    deviations_dn: Values = field(repr=False)
+    fixed_dn: Values = field(repr=False)
+
+    @property
+    def relative_error(self) -> float:
+        """Standard error of sigma as a share of it."""
+        return self.sigma_error_dn / max(self.sigma_dn, 1e-12)
+
+    @property
+    def normal_line_dn(self) -> tuple[float, float]:
+        """Slope and level of the straight line through the normal probability plot, DN."""
+        slope, level = np.polyfit(self.quantiles, self.ordered_dn, 1)
+        return float(slope), float(level)
+
+    def smoothed_power_dn2(self, period: int) -> tuple[Values, Values]:
+        """Return the means of neighbouring frequencies and of their power, for a CFA of this period.
+
+        Without 0 and the multiples of one over the period, which taking off the channels' means has emptied.
+        """
+        places = self.frequency * period
+        kept = np.flatnonzero(np.abs(places - np.rint(places)) > period * self.frequency[1] / 2)
+        groups = np.array_split(kept, max(1, min(_FREQUENCIES, kept.size // _FREQUENCIES_TOGETHER)))
+        frequency, power = (np.array([each[g].mean() for g in groups]) for each in (self.frequency, self.power_dn2))
+        return frequency, power
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowNoise:
+    """Row and column noise, and the variance of the pixels around their rows.
+
+    Attributes
+    ----------
+    rows, columns
+        Of mosaic rows over all their channels, and of mosaic columns.
+    pixel_variance_dn2
+        Variance of a pixel over time around its row's offset; with quantisation.
+    """
+
+    rows: LineNoise
+    columns: LineNoise
+    pixel_variance_dn2: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColourBias:
+    """Colour bias per CFA channel, DN: R, G1, B, G2 for Bayer, R, G, B for X-Trans.
+
+    Attributes
+    ----------
+    bias_dn
+        Mean of all pixels of all frames minus black level, as in the paper: with the defects.
+    standard_error_dn
+        Of what changes from frame to frame: from the noise of pixels, rows and columns, or where the frames' own means
+        scatter by more, as with drift, from these.
+    drifts
+        Whether the frames' means scatter by more than noise gives them once in a thousand times.
+    of_defects_dn
+        What the mean of the sound pixels lacks of it.
+    frame_bias_dn
+        (frames, channels): each frame's own.
+    frames
+        Number of frames.
+    """
+
+    bias_dn: tuple[float, ...]
+    standard_error_dn: tuple[float, ...]
+    of_defects_dn: tuple[float, ...]
+    drifts: bool
+    frame_bias_dn: Values = field(repr=False)
+    frames: int
+
+
+def row_noise(sums: BiasSums) -> RowNoise:
+    """Estimate sigma_row (and the columns' sigma) from the line means over time.
+
+    With r the mean of one mosaic row over its channels, less the channels' means and the row's mean over the n frames,
+    ``sigma_row^2 = sum r^2 / nu - sigma_pixel^2 / n_columns``, nu = (n - 1) (rows - classes of rows): the maximum
+    likelihood for normal offsets, made unbiased, less what the mean of finitely many pixels scatters.
+    Its variance is ``2 (sum r^2 / nu)^2 / nu``.
+
+    Raises
+    ------
+    DatasetError
+        If the frames added are not those of the fixed pattern.
+    """
+    sums.check_frames()
+    fixed, frames = sums.fixed, sums.fixed.frames
+    pixels = sums.row_pixels.sum(axis=1)
+    # Per pixel and row 1/n and 1/m of the freedom are gone.
+    freedom = (frames - 1) * float(np.maximum(pixels - 1, 0).sum())
+    pixel_variance = sums.squares / freedom
+    rows = sums.rows_dn, sums.row_pixels, sums.row_totals / frames, fixed.pattern
+    columns = sums.columns_dn, sums.column_pixels, sums.column_totals / frames, fixed.pattern.T
+    return RowNoise(_line_noise(*rows, pixel_variance), _line_noise(*columns, pixel_variance), pixel_variance)
+
+
+def _line_noise(
+    means: list[Values], pixels: Counts, fixed_sums: Values, pattern: Counts, pixel_variance: float
+) -> LineNoise:
+    from scipy import stats
+
+    deviations, counts = np.array(means), pixels.sum(axis=1)
+    used = counts > 0
+    deviations = deviations[:, used]
+    frames, lines = deviations.shape
+    independent = lines - _count_classes(pattern)
+    freedom = (frames - 1) * independent
+    if freedom < 2:
+        raise DatasetError("too few sound rows or columns are left")
+    scatter = float((deviations**2).sum()) / freedom
+    of_pixels = pixel_variance * float((1 / counts[used]).mean())
+    variance, variance_error = scatter - of_pixels, scatter * math.sqrt(2 / freedom)
+    sigma, error = _sigma(variance, variance_error)
+    values = deviations.ravel() * math.sqrt(frames / (frames - 1))
+    thinned = values[np.linspace(0, values.size - 1, min(values.size, _SHAPIRO_VALUES)).astype(np.int64)]
+    (quantiles, ordered), (_, _, correlation) = stats.probplot(thinned)
+    fixed = levels_and_lines(fixed_sums, pixels)[1]
+    fixed_variance = float((fixed[used] ** 2).sum()) / independent - scatter / frames
+    return LineNoise(
+        sigma_dn=sigma,
+        sigma_error_dn=error,
+        variance_dn2=variance,
+        variance_error_dn2=variance_error,
+        fixed_sigma_dn=math.sqrt(max(fixed_variance, 0.0)),
+        shapiro_p=float(stats.shapiro(thinned).pvalue),
+        shapiro_values=thinned.size,
+        excess_kurtosis=float(stats.kurtosis(values)),
+        quantiles=quantiles,
+        ordered_dn=ordered,
+        r_squared=float(correlation) ** 2,
+        frequency=np.asarray(np.fft.rfftfreq(lines), dtype=np.float64),
+        power_dn2=(np.abs(np.fft.rfft(deviations, axis=1)) ** 2).mean(axis=0) / lines * (frames / (frames - 1)),
+        deviations_dn=deviations,
+        fixed_dn=fixed,
+    )
+
+
+def _count_classes(pattern: Counts) -> int:
+    """Return the degrees of freedom that channel means take from row means: the rank of the rows' composition."""
+    composition = np.stack([np.bincount(row, minlength=channels_of(pattern)) for row in pattern])
+    return int(np.linalg.matrix_rank(composition))
+
+
+def _sigma(variance: float, error: float) -> tuple[float, float]:
+    """Return the standard deviation of offsets whose variance is given with its error, and its error."""
+    if variance <= 0:
+        return 0.0, math.sqrt(error)
+    step = 1e-3 * variance
+    slope = (math.sqrt(variance + step) - math.sqrt(variance - step)) / (2 * step)
+    return math.sqrt(variance), min(error * slope, math.sqrt(error))
+
+
+def colour_bias(sums: BiasSums, noise: RowNoise, black_level_dn: Sequence[float]) -> ColourBias:
+    """Return mu_c: the mean of each channel over all frames minus its recorded black level.
+
+    Independent noise of pixels, rows and columns gives the mean of a channel of N pixels, m of them in a line, over n
+    frames the variance ``(sigma_pixel^2 / N + sum over lines of sigma_line^2 (m / N)^2) / n``. What the frames' means
+    scatter by beyond that, over all channels together, enlarges it.
+
+    Parameters
+    ----------
+    sums
+        The bias frames.
+    noise
+        Their row noise.
+    black_level_dn
+        As recorded, one for each CFA channel.
+    """
+    from scipy.special import chdtri, ndtri, stdtrit
+
+    table = np.array(sums.means_dn)
+    frames = len(table)
+    bias = table - np.asarray(black_level_dn)
+    lines = ((sums.row_pixels, noise.rows), (sums.column_pixels, noise.columns))
+    pixels = sums.row_pixels.sum(axis=0)
+    of_frame = noise.pixel_variance_dn2 / pixels + sum(
+        max(line.variance_dn2, 0.0) * ((counts / pixels) ** 2).sum(axis=0) for counts, line in lines
+    )
+    drift = float((bias.var(axis=0, ddof=1) / of_frame).mean())
+    error = np.sqrt(of_frame * max(drift, 1.0) / frames)
+    if drifts := drift > chdtri(frames - 1, _BY_CHANCE) / (frames - 1):
+        error *= stdtrit(frames - 1, 0.975) / ndtri(0.975)  # so few frames know little of their scatter
+    return ColourBias(
+        bias_dn=tuple(bias.mean(axis=0).tolist()),
+        standard_error_dn=tuple(error.tolist()),
+        drifts=bool(drifts),
+        of_defects_dn=tuple((table - np.array(sums.sound_means_dn)).mean(axis=0).tolist()),
+        frame_bias_dn=bias,
+        frames=frames,
+    )
+
+
+# --- spectra ----------------------------------------------------------------------------------------------------------
+
+_TILE = 256
+_MOST_TILES = 64
+
+
+def power_spectrum(mosaic: Mosaic, fixed: FixedPattern) -> Plane:
+    """Return the centred power spectrum of a bias frame less its channels' means, DN^2 per pixel.
+
+    The average over tiles of 256 x 256 pixels (up to 64 of them, evenly spread): white noise of variance s^2 gives s^2
+    throughout. Noise that a row shares lies on the column of horizontal frequency 0, that of a column on the row of
+    vertical frequency 0. Defects count as their channel's mean; fixed patterns stay in.
+
+    Raises
+    ------
+    DatasetError
+        If the frame is smaller than a tile.
+    """
+    height, width = mosaic.shape
+    if height < _TILE or width < _TILE:
+        raise DatasetError(f"the spectrum needs a frame of {_TILE} x {_TILE} pixels or more; found {height} x {width}")
+    down, across = height // _TILE, width // _TILE
+    step = max(1, round((down * across / _MOST_TILES) ** 0.5))
+    power = np.zeros((_TILE, _TILE))
+    tiles = 0
+    for y in range(0, down, step):
+        for x in range(0, across, step):
+            place = slice(y * _TILE, (y + 1) * _TILE), slice(x * _TILE, (x + 1) * _TILE)
+            tile = mosaic[place].astype(np.float64)
+            tile[fixed.defects[place]] = np.nan
+            for within, _ in sites(fixed.pattern):  # by site, not by channel: the two greens of Bayer may differ
+                tile[within] -= np.nanmean(tile[within])
+            power += np.abs(np.fft.fft2(np.nan_to_num(tile))) ** 2
+            tiles += 1
+    spectrum: Plane = np.fft.fftshift(power / (tiles * _TILE * _TILE)).astype(np.float32)
+    return spectrum
 
 
 # --- frames two by two ------------------------------------------------------------------------------------------------
@@ -317,9 +594,7 @@ class BiasPairs:
         self._lags = np.concatenate([LAGS, _FAR])
         self._products = np.zeros(len(self._lags), dtype=np.int64)
         self._lag_pairs, self._induced = np.zeros((2, len(self._lags)))
-        self._rows_took = np.array(
-            [0.0 if down else _row_means_took(fixed.pattern, across) for down, across in self._lags]
-        )
+        self._by_means = np.array([0.0 if down else _induce(fixed.pattern, across) for down, across in self._lags])
         self._all_squares = self._pixels = 0
 
     def add(self, mosaic: Mosaic) -> None:
@@ -349,7 +624,7 @@ class BiasPairs:
         self._pixels += band.size
         pairs = (height - self._lags[:, 0]) * (width - np.abs(self._lags[:, 1]))
         self._lag_pairs += pairs
-        self._induced += pairs * self._rows_took / width
+        self._induced += pairs * self._by_means / width
 
     def correlation(self) -> tuple[Values, float]:
         """Return the correlation of the noise of neighbours, and the largest standard error of it."""
@@ -380,11 +655,10 @@ class BiasPairs:
 
 def _sum_by_block(band: NDArray[Any]) -> NDArray[Any]:
     """Return the sums over each block of columns of a band."""
-    sums: NDArray[Any] = band.reshape(len(band), -1, BLOCK).sum(axis=(0, 2))
-    return sums
+    return np.asarray(band.reshape(len(band), -1, BLOCK).sum(axis=(0, 2)))
 
 
-def _row_means_took(pattern: Counts, across: int) -> float:
+def _induce(pattern: Counts, across: int) -> float:
     """Return the correlation that taking off the mean of each row and channel makes at a lag, times the columns."""
     share = np.array([[np.count_nonzero(row == channel) for channel in row] for row in pattern]) / len(pattern)
     alike = np.roll(pattern, -across, axis=1) == pattern

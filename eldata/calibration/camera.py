@@ -7,6 +7,7 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,10 +16,16 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
-from eldata.calibration.checks import beside_steps
-from eldata.calibration.findings import BLACK, LIGHT, check_acceptance
+from eldata.calibration.checks import take_step
 from eldata.calibration.frames import FramesError, check_crop, crop_text, picture_crop, sort_frames
-from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain, usual_gain_per_iso
+from eldata.calibration.iso_results import (
+    BLACK,
+    LIGHT,
+    FailedIso,
+    IsoCalibration,
+    IsoGain,
+    check_acceptance,
+)
 from eldata.calibration.joint import fit_modes, whole_ranges
 from eldata.calibration.one_iso import calibrate_iso, decodings
 from eldata.calibration.results import Calibration
@@ -28,10 +35,11 @@ from eldata.manifest.verify_report import Problem
 from eldata.noise.profile import CameraProfile, profile_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from eldata.calibration.frames import IsoFrames
+    from eldata.calibration.iso_results import Finding
 
 _LEVELS_APART = 0.001  # of the range
 
@@ -113,26 +121,27 @@ def calibrate(
     stated = stated_gains(frames, gains)
     starts = None if modes is None else _starts(frames, modes)
     # The headers of a folder are read here: they are small, and an executor takes whole ISOs.
-    chosen = [
-        replace(one, stated_gain_dn_per_e=stated.get(float(one.iso)), accept=accept)
-        for one in sort_frames(frames, Workers(workers.jobs))
+    chosen = sort_frames(frames, Workers(workers.jobs))
+    usable = [
+        replace(of_iso, stated_gain_dn_per_e=stated.get(float(of_iso.iso)), accept=accept)
+        for of_iso in chosen
+        if not of_iso.problems
     ]
-    usable = [one for one in chosen if not one.problems]
-    failed = [FailedIso(float(one.iso), one.problems) for one in chosen if one.problems]
+    failed = [FailedIso(float(of_iso.iso), of_iso.problems) for of_iso in chosen if of_iso.problems]
     area = picture_crop(frames, usable) if crop is None else check_crop(crop)
     notes = []
     if area is not None:
-        usable = [replace(one, crop=area) for one in usable]
+        usable = [replace(of_iso, crop=area) for of_iso in usable]
         why = "around them there is no picture (--crop states another area)" if crop is None else "as stated"
         notes = [f"rows and columns {crop_text(area)} are used, {why}"]
     measured = []
-    for one, outcome in zip(usable, _measure(frames, usable, workers), strict=True):
+    for of_iso, outcome in zip(usable, _measure(frames, usable, workers), strict=True):
         if isinstance(outcome, FramesError):
-            failed.append(FailedIso(float(one.iso), outcome.problems))
+            failed.append(FailedIso(float(of_iso.iso), outcome.problems))
         else:
             measured.append(outcome)
     if not measured:
-        problems = [problem for one in failed for problem in one.problems]
+        problems = [problem for left_out in failed for problem in left_out.problems]
         raise FramesError(sorted(problems, key=lambda problem: problem.path))
     return join_isos(camera or frames.camera, measured, failed, starts, notes)
 
@@ -185,12 +194,12 @@ def _measure(frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Wo
         there = copy.copy(frames)
         there.root = frames.root.absolute()
         outcomes = workers.attempt(partial(_calibrate_elsewhere, there), chosen, label=label, unit="ISO")
-        return [_failure(frames, one) if isinstance(one, Failed) else one for one in outcomes]
+        return [_as_error(frames, outcome) if isinstance(outcome, Failed) else outcome for outcome in outcomes]
     measured: list[IsoGain | FramesError] = []
     with tqdm(total=sum(map(decodings, chosen)), desc=label, unit="frame", disable=None, leave=False) as bar:
-        for one in chosen:
+        for of_iso in chosen:
             try:
-                measured.append(calibrate_iso(frames, one, workers, done=bar.update))
+                measured.append(calibrate_iso(frames, of_iso, workers, done=bar.update))
             except FramesError as error:
                 measured.append(error)
     return measured
@@ -201,7 +210,7 @@ def _calibrate_elsewhere(frames: CalibrationFrames, chosen: IsoFrames) -> IsoGai
     return calibrate_iso(frames, chosen)
 
 
-def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesError:
+def _as_error(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesError:
     if isinstance(failed.error, FramesError):
         return failed.error
     where = f"{frames.camera}, ISO {float(failed.unit.iso):g}"
@@ -231,16 +240,16 @@ def join_isos(
     notes
         Further remarks.
     """
-    everything = sorted(measured, key=lambda one: one.iso)
-    left_out = tuple(sorted(failed, key=lambda one: one.iso))
-    remarks = [*notes, *(one.remark for one in left_out), *overall_remarks(everything)]
-    with_bias = check_stated_black([one for one in everything if isinstance(one, IsoCalibration)])
+    everything: list[IsoGain] = sorted(measured, key=attrgetter("iso"))
+    left_out = tuple(sorted(failed, key=attrgetter("iso")))
+    remarks = [*notes, *(failed_iso.remark for failed_iso in left_out), *overall_remarks(everything)]
+    with_bias = check_stated_black([record for record in everything if isinstance(record, IsoCalibration)])
     isos, step_dn = _take_common_step(with_bias, everything, remarks)
     fitted, problem = fit_modes(isos, modes, remarks)
-    black, white = _common_levels(everything, remarks)
-    bias, flat = sum(one.bias_frames for one in isos), sum(one.flat_frames for one in everything)
+    black, white = _find_common_levels(everything, remarks)
+    bias, flat = sum(record.bias_frames for record in isos), sum(record.flat_frames for record in everything)
     source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {counted(len(everything), 'ISO')}"
-    if stated := sum(one.gain is not None and one.gain.is_stated for one in isos):
+    if stated := sum(record.gain is not None and record.gain.is_stated for record in isos):
         source += f", K stated at {stated} of them"
     calibration = Calibration(
         camera=camera,
@@ -250,22 +259,20 @@ def join_isos(
         remarks=tuple(remarks),
         made_profile=None,
         no_profile=_no_profile(isos) or problem,
-        gains=tuple(one for one in everything if not isinstance(one, IsoCalibration)),
+        gains=tuple(record for record in everything if not isinstance(record, IsoCalibration)),
         failed=left_out,
     )
     if calibration.no_profile:
         return calibration
-    gain_modes = [one.mode for one in fitted]
+    gain_modes = [line.mode for line in fitted]
     gain_range, iso_range = whole_ranges(gain_modes)
-    only = gain_modes[0] if len(gain_modes) == 1 else None
+    only = gain_modes[0] if len(gain_modes) == 1 else None  # its lines are the profile's own
     profile = CameraProfile(
         camera=camera,
         source=source,
         gain_range_dn_per_e=gain_range,
-        tukey_lambda_fit=None if only is None else only.tukey_lambda_fit,
-        gauss_fit=None if only is None else only.gauss_fit,
-        row_fit=None if only is None else only.row_fit,
-        rows=tuple(row for one in isos if (row := one.profile_row) is not None),
+        **{f"{scale}_fit": getattr(only, f"{scale}_fit", None) for scale in ("tukey_lambda", "gauss", "row")},
+        rows=tuple(filter(None, (record.profile_row for record in isos))),
         iso_range=iso_range,
         black_level_dn=black,
         white_level_dn=white,
@@ -281,36 +288,36 @@ def _take_common_step(
     isos: tuple[IsoCalibration, ...], everything: Sequence[IsoGain], remarks: list[str]
 ) -> tuple[tuple[IsoCalibration, ...], float]:
     """Return the ISOs, and the profile's step: the greatest common divisor of all; add to the remarks."""
-    step = math.gcd(*(one.step_dn for one in everything)) or 1
-    listed = ", ".join(f"{one.step_dn} at ISO {one.iso:g}" for one in everything if one.step_dn)
-    if any(one.step_dn not in {0, step} for one in everything):
+    step = math.gcd(*(record.step_dn for record in everything)) or 1
+    if any(record.step_dn not in {0, step} for record in everything):
+        listed = ", ".join(f"{record.step_dn} at ISO {record.iso:g}" for record in everything if record.step_dn)
         remarks.append(
             f"values step by so many DN: {listed}. The profile's quantisation_step_dn is {step}, and the read noise "
             "holds what coarser rounding adds"
         )
     elif step > 1:
         remarks.append(f"values step by {step} DN at every ISO: the profile's quantisation_step_dn, for component U")
-    return tuple(beside_steps(one) if one.step_dn == step else one for one in isos), float(step)
+    return tuple(take_step(record) if record.step_dn == step else record for record in isos), float(step)
 
 
-def _common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[float | None, float | None]:
+def _find_common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[float | None, float | None]:
     """Return the black and the white level that hold for all frames, ``None`` where one does not; add to the remarks.
 
     Cameras record black levels that differ by channel or ISO by a DN or some. A profile's levels are there to scale
     values by their difference: what is a thousandth of it changes no figure by more than that.
     """
-    blacks = [level for one in isos for level in one.sensor.black_level_dn]
-    whites = [one.sensor.white_level_dn for one in isos]
+    blacks = [level for record in isos for level in record.sensor.black_level_dn]
+    whites = [record.sensor.white_level_dn for record in isos]
     least = _LEVELS_APART * (min(whites) - max(blacks))
-    common: list[float | None] = []
-    for name, levels in (("black", blacks), ("white", whites)):
+
+    def find_common(name: str, levels: Sequence[float]) -> float | None:
         if max(levels) - min(levels) <= least:
-            common.append(float(np.median(levels)))
-            continue
+            return float(np.median(levels))
         listed = ", ".join(f"{level:g}" for level in sorted(set(levels))[:6])
         remarks.append(f"the {name} level differs by ISO or channel ({listed} DN); the profile leaves it open")
-        common.append(None)
-    return common[0], common[1]
+        return None
+
+    return find_common("black", blacks), find_common("white", whites)
 
 
 def _no_profile(isos: Sequence[IsoCalibration]) -> str:
@@ -320,17 +327,17 @@ def _no_profile(isos: Sequence[IsoCalibration]) -> str:
             "there are flats alone, which give K and no noise of the dark: take ten bias frames or more of each ISO, "
             "with the lens capped, at the shortest exposure"
         )
-    if not any(one.gain for one in isos):
-        if any("gain" in one.withheld for one in isos):
+    if not any(record.gain for record in isos):
+        if any("gain" in record.withheld for record in isos):
             return "K is withheld at every ISO that has flats; the remarks say why"
         return (
             "no ISO with bias frames has two flats of the same exposure, so K is not known: take pairs of equal flats "
             "at four exposures or more, from a tenth to nine tenths of the range, or state K (--gain ISO=K, "
             "gains={ISO: K})"
         )
-    if not any(one.profile_row for one in isos):
+    if not any(record.profile_row for record in isos):
         return "the read noise or the colour bias is withheld at every ISO; the remarks say why"
-    if not any(one.gain and one.sigma_tl_dn for one in isos):
+    if not any(record.gain and record.sigma_tl_dn for record in isos):
         return "no ISO has both K and the read noise; the remarks say why"
     return ""
 
@@ -346,43 +353,39 @@ def check_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, 
     It is beyond 3 % of white, or jumps: by more than a thousandth of white, the noise, and five times what the others
     differ by. One that jumps is withheld.
     """
-    means = {one.iso: float(np.mean(one.bias.bias_dn)) for one in isos if one.colour_bias is not None}
-    judged = []
-    for one in isos:
-        others = [mean for iso, mean in means.items() if iso != one.iso]
-        if one.iso not in means or not others:
-            judged.append(one)
-            continue
-        usual, white, mean = float(np.median(others)), one.sensor.white_level_dn, means[one.iso]
-        noise = 0.0 if one.read is None else one.read.sigma_gauss_dn
+    means = {record.iso: float(np.mean(record.bias.bias_dn)) for record in isos if record.colour_bias is not None}
+
+    def find_wrong_black(record: IsoCalibration) -> Iterator[Finding]:
+        others = [mean for iso, mean in means.items() if iso != record.iso]
+        if record.iso not in means or not others:
+            return
+        usual, white, mean = float(np.median(others)), record.sensor.white_level_dn, means[record.iso]
+        noise = 0.0 if record.read is None else record.read.sigma_gauss_dn
         scatter = max(abs(other - usual) for other in others)
         moved, limit, far = abs(mean - usual), max(0.001 * white, noise, 5.0 * scatter), 0.03 * white
         jumps = moved > limit and abs(mean) > abs(usual)
         if not jumps and abs(mean) <= far:
-            judged.append(one)
-            continue
-        black = float(np.mean(one.sensor.black_level_dn))
+            return
+        black = float(np.mean(record.sensor.black_level_dn))
         text = (
             f"the bias frames' own black is {black + mean:.1f} DN, the files state {black:g} (a colour bias of "
             f"{mean:.3g} DN; at the other ISOs {usual:.3g})"
         )
-        is_lit = any(finding.check == LIGHT.name for finding in one.findings)
+        is_lit = any(finding.check == LIGHT.name for finding in record.findings)
         if not is_lit:
             text += ": the stated black is probably wrong at this ISO; look it up, and state it where you use the files"
+        statistics = (moved, limit) if jumps else (abs(mean), far)
         # What other ISOs do not show is drawn with the gain of any (row="any").
-        finding = BLACK.find(moved, limit, text) if jumps else BLACK.find(abs(mean), far, text)
-        if jumps and not is_lit:
-            finding = replace(finding, effect="withheld", figures=BLACK.figures)
-        judged.append(replace(one, findings=(*one.findings, finding)))
-    return tuple(judged)
+        withheld = ("withheld", BLACK.figures) if jumps and not is_lit else ()
+        yield BLACK.find(*statistics, text, *withheld)
+
+    return tuple(replace(record, findings=(*record.findings, *find_wrong_black(record))) for record in isos)
 
 
 def overall_remarks(isos: Sequence[IsoGain]) -> list[str]:
     """Return remarks on K / ISO, which show only when the ISOs are seen together."""
-    ratios = {one.iso: one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None}
-    if len(ratios) < 3:
-        return []
-    usual = usual_gain_per_iso(isos)
+    ratios = {record.iso: record.gain_dn_per_e / record.iso for record in isos if record.gain_dn_per_e is not None}
+    usual = float(np.median(list(ratios.values()))) if len(ratios) > 2 else math.inf
     odd = {iso: ratio for iso, ratio in ratios.items() if abs(ratio - usual) > _GAIN_TOLERANCE * usual}
     if not odd:
         return []

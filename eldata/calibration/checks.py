@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.calibration.bias_sums import LAGS
-from eldata.calibration.findings import (
+from eldata.calibration.flats import straight_line
+from eldata.calibration.iso_results import (
     CHANCE,
     CLIPPED,
     COARSE,
@@ -27,7 +28,6 @@ from eldata.calibration.findings import (
     SATURATION,
     SHAPE,
 )
-from eldata.calibration.flats import straight_line
 from eldata.calibration.residuals import read_noise
 from eldata.calibration.tukey_lambda import NEARLY_NORMAL, Ripple
 from eldata.noise.parameters import tukey_lambda_variance
@@ -35,11 +35,16 @@ from eldata.noise.parameters import tukey_lambda_variance
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from eldata.calibration.bias_sums import BiasStatistics, BiasSums, ResidualHistogram
-    from eldata.calibration.findings import Finding, Quantity
+    from eldata.calibration.bias_sums import (
+        BiasStatistics,
+        BiasSums,
+        ColourBias,
+        LineNoise,
+        ResidualHistogram,
+        RowNoise,
+    )
     from eldata.calibration.flats import FlatPairs, PhotonTransfer, PhotonTransferLine
-    from eldata.calibration.iso_results import IsoCalibration
-    from eldata.calibration.lines import ColourBias, LineNoise, RowNoise
+    from eldata.calibration.iso_results import Finding, IsoCalibration, Quantity
     from eldata.calibration.residuals import ReadNoise
     from eldata.calibration.sums import Counts, Mask, Values
 
@@ -105,7 +110,7 @@ def _find_light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, r
     yield from LIGHT.judge(statistic, threshold, text, _of_read_noise(read, share))
     # Half a DN may be in the colour bias, or in loud noise a fifth of its standard deviation.
     if over_dark > max(0.5, 0.2 * statistics.sigma_dn):
-        yield LIGHT.find(statistic, threshold, text, "withheld", ("colour bias",), over_dark)
+        yield LIGHT.withhold(statistic, threshold, text, ("colour bias",), over_dark)
     elif over_dark > min(bias.standard_error_dn):
         yield LIGHT.find(statistic, threshold, text, "wider", ("colour bias",), over_dark)
 
@@ -176,14 +181,12 @@ def _find_steps(rows: RowNoise, read: ReadNoise, step_dn: float) -> Iterator[Fin
     if step_dn <= _UNEVEN_DN:
         return
     added = (step_dn**2 - 1) / 12
+    how = " in the mean, unevenly: multiplied after conversion, or compressed with loss"
+    if step_dn.is_integer():
+        how = ": fewer bits than the file has room for, or multiplied after conversion"
     text = (
-        f"the bias frames' values step by {step_dn:.3g} DN"
-        + (
-            ": fewer bits than the file has room for, or multiplied after conversion"
-            if step_dn.is_integer()
-            else " in the mean, unevenly: multiplied after conversion, or compressed with loss"
-        )
-        + f"; rounding adds {added:.2g} DN^2 more than the model's; use a raw mode with all bits, or leave this ISO out"
+        f"the bias frames' values step by {step_dn:.3g} DN{how}; rounding adds {added:.2g} DN^2 more than the model's; "
+        "use a raw mode with all bits, or leave this ISO out"
     )
     share = _OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
     shares = _of_read_noise(read, share)
@@ -253,19 +256,20 @@ def read_noise_in_steps(residuals: ResidualHistogram, step: int) -> ReadNoise | 
     return read if read.converged and ripple.variance < 0.02 else None
 
 
-def beside_steps(one: IsoCalibration) -> IsoCalibration:
-    """Return the ISO with the read noise that is left beside rounding to its step; as it is, if that is not known."""
-    if one.stepped is None:
-        return one
+def take_step(record: IsoCalibration) -> IsoCalibration:
+    """Return the ISO with the read noise without rounding to its step; as it is, if that is not known."""
+    if record.stepped is None:
+        return record
     text = (
-        f"the values step by {one.step_dn} DN: fewer bits than the file has room for; the read noise is without that "
-        "rounding, which is component U's (quantisation_step_dn)"
+        f"the values step by {record.step_dn} DN: fewer bits than the file has room for; the read noise is without "
+        "that rounding, which is component U's (quantisation_step_dn)"
     )
-    of_steps = read_noise_findings(one.stepped, one.bias, one.rows.rows, one.step_dn, one.step_dn)
+    step, read = record.step_dn, record.stepped
     replaced = {check.name for check in (COARSE, FIT, SHAPE, ROUNDING)}
-    others = (finding for finding in one.findings if finding.check not in replaced)
-    findings = (*others, *of_steps, COARSE.find(one.step_dn, 1.0, text))
-    return replace(one, read=one.stepped, findings=findings, quantisation_step_dn=float(one.step_dn))
+    others = (finding for finding in record.findings if finding.check not in replaced)
+    of_steps = read_noise_findings(read, record.bias, record.rows.rows, step, step)
+    findings = (*others, *of_steps, COARSE.find(step, 1.0, text))
+    return replace(record, read=read, findings=findings, quantisation_step_dn=float(step))
 
 
 # --- read noise -------------------------------------------------------------------------------------------------------
@@ -280,7 +284,7 @@ _OF_RIPPLE, _OF_RIPPLE_IN_SIGMA = 2.0, 0.5
 _OF_SQUARE, _OF_SQUARE_IN_SIGMA = 0.2, 0.05
 
 
-def clipped(sums: BiasSums) -> Finding:
+def find_clipping(sums: BiasSums) -> Finding:
     """Return the finding that values end at the floor, so that the noise below is gone."""
     fixed = sums.fixed
     share = sums.at_floor / (fixed.frames * fixed.total_dn.size)
@@ -290,7 +294,7 @@ def clipped(sums: BiasSums) -> Finding:
         "to; use raw files that keep the black level (converters and some raw modes take it off), or state this "
         "camera's noise from another source"
     )
-    return CLIPPED.find(share, 0.0, text, "withheld", CLIPPED.figures)
+    return CLIPPED.withhold(share, 0.0, text)
 
 
 def read_noise_findings(
@@ -314,7 +318,7 @@ def read_noise_findings(
             f"the fit of a Tukey-lambda distribution to {read.residuals} residuals came to no end: lambda and its "
             "error are not known; look at its plots"
         )
-        findings.append(SHAPE.find(math.inf, _MOST_ERROR, text, "withheld", READ))
+        findings.append(SHAPE.withhold(math.inf, _MOST_ERROR, text))
     elif not error < _MOST_ERROR:
         text = (
             f"{read.residuals} residuals do not tell the shape of the read noise: lambda is uncertain by "
@@ -322,7 +326,7 @@ def read_noise_findings(
             + (f", {math.hypot(1, misfit):.1f} times as much by their misfit" if misfit else "")
             + "; look at its plots, and use more frames or a higher ISO"
         )
-        findings.append(SHAPE.find(error, _MOST_ERROR, text, "withheld", READ))
+        findings.append(SHAPE.withhold(error, _MOST_ERROR, text))
     elif misfit:
         text = (
             f"the residuals do not follow the fitted Tukey-lambda distribution (chi2 per degree of freedom "
@@ -351,7 +355,7 @@ def _find_rounding(
             "recorded, and the shape of the noise is not seen: use a raw mode of more bits, or the figures of a higher "
             "ISO"
         )
-        yield ROUNDING.find(sigma, quietest, text, "withheld", ("shape",))
+        yield ROUNDING.withhold(sigma, quietest, text, ("shape",))
     # How alike the levels' fractions of a DN are says nothing of wider steps.
     alike = (1.0 if step_dn > 1 else read.alike) * math.exp(-2 * (math.pi * rows.sigma_dn / step_dn) ** 2)
     # Rounding itself makes tails light: lighter ones than a normal distribution's are not taken for the noise's.
@@ -363,31 +367,26 @@ def _find_rounding(
         lower = math.sqrt(max(1 - ripple.variance * alike / 2 * recorded, 0.1))
         ripple = Ripple.of(shape, lower * scale)
     width, shift = ripple.variance * alike, ripple.mean_steps / 2 * step_dn * alike
-    changed = (
-        f"changes the variance of a pixel's noise by up to {ripple.variance / 2:.1%}, as its level lies between two "
-        f"values, that of all by up to {width / 2:.1%}, and"
-        if math.isfinite(width)
-        else "decides whether a pixel changes at all, and changes"
-    )
+    changed = "decides whether a pixel changes at all, and changes"
+    if math.isfinite(width):
+        changed = (
+            f"changes the variance of a pixel's noise by up to {ripple.variance / 2:.1%}, as its level lies between "
+            f"two values, that of all by up to {width / 2:.1%}, and"
+        )
     text = (
         f"the read noise is quiet ({sigma:.2g} DN): rounding to {steps} DN {changed} the mean by up to {shift:.2g} "
         "DN; use a raw mode of more bits"
     )
-    square, of_rows = ripple.variance**2, rows.relative_error
+    square, of_rows, of_sigma = ripple.variance**2, rows.relative_error, read.sigma_gauss_error_dn / max(sigma, 1e-12)
     off: dict[Quantity, tuple[float, float, float]] = {  # by so much; what is too much, and what is in the error
         "shape": (_OF_RIPPLE * width + _OF_SQUARE * square, _MOST_ERROR, read.largest_error),
-        "read noise": (
-            _OF_RIPPLE_IN_SIGMA * width + _OF_SQUARE_IN_SIGMA * square,
-            math.inf,
-            read.sigma_gauss_error_dn / max(sigma, 1e-12),
-        ),
+        "read noise": (_OF_RIPPLE_IN_SIGMA * width + _OF_SQUARE_IN_SIGMA * square, math.inf, of_sigma),
         "row noise": (2 * math.pi * shift / step_dn, _MOST_IN_ROWS if read.converged else of_rows, of_rows),
         "colour bias": (shift, math.inf, min(filter(math.isfinite, bias.standard_error_dn), default=math.inf)),
     }
     of_width = () if width <= _MOST_RIPPLE else READ if math.isfinite(width) else (*READ, "row noise")
-    lost = tuple(figure for figure, (share, most, _) in off.items() if share > most or figure in of_width)
-    if lost:
-        yield ROUNDING.find(width, _MOST_RIPPLE, text, "withheld", lost)
+    if lost := tuple(figure for figure, (share, most, _) in off.items() if share > most or figure in of_width):
+        yield ROUNDING.withhold(width, _MOST_RIPPLE, text, lost)
     for figure, (share, _, least) in off.items():
         if figure not in lost and share > least:
             yield ROUNDING.find(share, least, text, "wider", (figure,), share)
@@ -403,28 +402,28 @@ _SIGNIFICANT = 5.0  # standard errors
 _OF_ERROR = 0.2  # of K: less is in it
 
 
-def flat_findings(transfer: PhotonTransfer) -> Iterator[Finding]:
-    """Yield the findings of one ISO's flats on K."""
-    yield from _find_flat_correlation(transfer)
-    yield from _find_bent_line(transfer)
+def flat_findings(transfer: PhotonTransfer) -> tuple[Finding, ...]:
+    """Check the flats of one ISO for correlation of neighbours, and for a line that is bent or not K's."""
+    return (*_find_flat_correlation(transfer), *_find_bent_line(transfer))
 
 
-def saturation(flats: FlatPairs) -> Iterator[Finding]:
+def find_saturation(flats: FlatPairs) -> Iterator[Finding]:
     """Yield a finding if pixels pile up at a value below the recorded white level, as where a sensor saturates.
 
     The upper end of noise, whatever its light, falls towards the top: there a value is rarer than those below it.
     """
-    piles = [pile for counts in flats.counts if (pile := _find_pile(counts, flats.limit_dn)) is not None]
+    piles = list(filter(None, (_find_pile(counts, flats.limit_dn) for counts in flats.counts)))
     if not piles:
         return
-    levels, over = [level for level, _ in piles], max(over for _, over in piles)
+    levels, overs = zip(*piles, strict=True)
+    over = max(overs)
     where = f"{levels[0]} DN" if len(set(levels)) == 1 else f"{min(levels)} to {max(levels)} DN"
     channels = "" if len(piles) == flats.channels else f" in {len(piles)} of {flats.channels} channels"
     text = (
         f"the flats saturate at {where}{channels}, below the recorded white level: values pile up there, {over:.0f} "
         "times as many as at the values below, and with the noise goes K; leave out the flats that reach this value"
     )
-    yield SATURATION.find(over, _PILED, text, "withheld", SATURATION.figures)
+    yield SATURATION.withhold(over, _PILED, text)
 
 
 def _find_pile(counts: Counts, limit_dn: float) -> tuple[int, float] | None:
@@ -439,7 +438,7 @@ def _find_pile(counts: Counts, limit_dn: float) -> tuple[int, float] | None:
     return None
 
 
-def uneven_steps(flats: FlatPairs, transfer: PhotonTransfer) -> Iterator[Finding]:
+def find_uneven_steps(flats: FlatPairs, transfer: PhotonTransfer) -> Iterator[Finding]:
     """Yield a finding if the values step by more DN the brighter they are, as of files compressed by a curve.
 
     Rounding to steps of s DN adds s^2 / 12 to the variance; its slope over the light is in K.
@@ -475,10 +474,8 @@ def _find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
     threshold = float(-ndtri(1e-4 / 2)) * error + 0.002 / _LOST_PER_CORRELATION
     if not abs(correlation) > threshold:
         return
-    if correlation > 0:
-        why = "the frames were smoothed or resampled, or the picture moved between the two of a pair"
-    else:
-        why = "the frames were sharpened"
+    smoothed = "the frames were smoothed or resampled, or the picture moved between the two of a pair"
+    why = smoothed if correlation > 0 else "the frames were sharpened"
     text = (
         f"in the differences of flats, neighbours of one colour are correlated by {correlation:+.3f} (a raw file: 0): "
         f"{why}; shoot on a tripod, with noise reduction and lens corrections off"
@@ -493,11 +490,8 @@ def _find_bent_line(transfer: PhotonTransfer) -> Iterator[Finding]:
     Edges that move between the two frames of a pair are in the mean and, up to a half of the segments, not in the
     median; a response that is not linear, or that saturates by degrees, bends the line of both.
     """
-    lines = [
-        _fit_medians(line, *medians)
-        for line, medians in zip(transfer.channels, transfer.medians, strict=True)
-        if medians.shape[1] >= 3 and np.ptp(medians[0]) > 0
-    ]
+    pairs = zip(transfer.channels, transfer.medians, strict=True)
+    lines = [_fit_medians(line, *points) for line, points in pairs if points.shape[1] >= 3 and np.ptp(points[0]) > 0]
     if not lines:
         return
     gain = transfer.gain_dn_per_e
@@ -505,9 +499,9 @@ def _find_bent_line(transfer: PhotonTransfer) -> Iterator[Finding]:
     tests = []
     for off, error in ((slopes / gain - 1, errors / gain), (bends, bend_errors)):
         weights = error**-2.0
-        if weights.any():
-            mean, its_error = float(weights @ off / weights.sum()), float(weights.sum() ** -0.5)
-            tests.append((abs(mean), math.hypot(its_error, transfer.gain_error / gain)))
+        if (total := weights.sum()) > 0:
+            its_error = math.hypot(float(total**-0.5), transfer.gain_error / gain)
+            tests.append((abs(float(weights @ off / total)), its_error))
     share, error = max(tests, key=lambda test: test[0] / test[1])
     if not share > _SIGNIFICANT * error:
         return

@@ -17,6 +17,8 @@ from eldata.calibration.sums import FrameSums, sites
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from eldata.calibration.sums import Counts, Mask, Mosaic, Values
@@ -159,43 +161,36 @@ def fixed_pattern(stack: BiasStack) -> FixedPattern:
         If there are too few frames, or nearly all pixels never change.
     """
     if stack.frames < MINIMUM_FRAMES:
-        raise DatasetError(
-            f"found {counted(stack.frames, 'bias frame')}: to tell what stays from what changes, "
-            f"{MINIMUM_FRAMES} are needed, ten or more advised, all at one ISO"
-        )
+        raise too_few_frames(stack.frames)
     pattern, channels, frames = stack.pattern, stack.channels, stack.frames
     sites_of = [[site for site, of in sites(pattern) if of == channel] for channel in range(channels)]
     total, lowest, highest = stack.total, stack.lowest, stack.highest
 
     scatter, floor = stack.scatter, find_floor(stack)
     is_cut = floor is not None and float((lowest <= floor).mean()) > _CLIPPED_SHARE
-    defects = _stuck(stack, scatter, floor or 0)
+    defects = _find_stuck(stack, scatter, floor or 0)
     stuck = int(defects.sum())
-    off_level = 0
 
-    def mark_off_level(channel: int) -> None:
-        """Mark the channel's pixels that are off their neighbourhood's level."""
-        nonlocal off_level
+    def mark_off_level(channel: int) -> int:
+        """Mark the channel's pixels that are off their neighbourhood's level, and count them."""
         distances = []
         for site in sites_of[channel]:
             trimmed = total[site].astype(np.int32)
             trimmed -= lowest[site]
             trimmed -= highest[site]
-            distances.append((site, _from_median(trimmed)))
+            distances.append(_measure_distance(trimmed))
         per_dn = 2 * (frames - 2)
-        every = np.concatenate([distance.ravel() for _, distance in distances])
+        every = np.concatenate([distance.ravel() for distance in distances])
         spread = 1.4826 * float(np.median(every, overwrite_input=True)) / per_dn
         # Near a floor, and between coarse steps, half of the pixels or more may lie within less than the noise.
         if is_cut or spread == 0:
             spread = max(spread, *(float(np.quantile(every, share)) / per_dn / size for share, size in _OUTER))
-        far = _THRESHOLD * max(spread, 1 / frames)
-        for site, distance in distances:
-            off = distance > far * per_dn
-            defects[site] |= off
-            off_level += int(off.sum())
+        far = _THRESHOLD * max(spread, 1 / frames) * per_dn
+        for site, distance in zip(sites_of[channel], distances, strict=True):
+            defects[site] |= distance > far
+        return sum(int((distance > far).sum()) for distance in distances)
 
-    for channel in range(channels):
-        mark_off_level(channel)
+    off_level = sum(map(mark_off_level, range(channels)))
     defect_rows = defects[stack.squared_rows]
 
     # One grid for all sites: of a frame whose size is not a multiple of a block's, some may have none in the last row.
@@ -221,7 +216,10 @@ def fixed_pattern(stack: BiasStack) -> FixedPattern:
         level = sum(block[0] * block[1] for block in blocks) / np.maximum(pixels, 1)
         mean = float((level * pixels).sum() / np.sum(pixels))
         dsnu, dsnu_error = _non_uniformity(blocks, variance / frames, variance_error / frames)
-        shading = _with_edges(np.where(pixels > 0, level - mean, 0.0), np.asarray(pixels))
+        shading = np.where(pixels > 0, level - mean, 0.0)
+        for of_edge, counts in ((shading, pixels), (shading.T, np.transpose(pixels))):
+            if len(of_edge) > 1 and not counts[-1].any():  # a last row or column without a pixel
+                of_edge[-1] = of_edge[-2]
         return variance, mean, dsnu, dsnu_error, shading
 
     variances, levels, dsnu, dsnu_error, shading = zip(*map(measure, range(channels)), strict=True)
@@ -242,6 +240,14 @@ def fixed_pattern(stack: BiasStack) -> FixedPattern:
             dsnu_error_dn=dsnu_error,
             shading_dn=np.stack(shading),
         ),
+    )
+
+
+def too_few_frames(number: int, reasons: Sequence[str] = ()) -> DatasetError:
+    """Return the error for so many bias frames."""
+    return DatasetError(
+        f"{counted(number, 'bias frame')}, and {MINIMUM_FRAMES} are needed, {ADVISED_FRAMES} or more advised: "
+        "take them with the lens capped, at the shortest exposure" + "".join(f"; {reason}" for reason in reasons)
     )
 
 
@@ -268,7 +274,7 @@ def _cut_at(counts: Counts) -> int | None:
     return place if expected >= _EXPECTED_BELOW and below[place] - first <= _BELOW * expected else None
 
 
-def _from_median(values: NDArray[np.int32]) -> NDArray[np.int32]:
+def _measure_distance(values: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return twice the distance from the median of blocks; it overwrites the values.
 
     Blocks over an edge are filled up as in a mirror.
@@ -294,8 +300,7 @@ def _block_moments(total: NDArray[np.uint32], sound: Mask, grid: tuple[int, ...]
         band, used = total[top : top + _BLOCK], sound[top : top + _BLOCK]
 
         def by_block(values: NDArray[Any], used: Mask = used) -> NDArray[Any]:
-            sums: NDArray[Any] = np.add.reduceat(values.sum(axis=0, where=used), columns)
-            return sums
+            return np.asarray(np.add.reduceat(values.sum(axis=0, where=used), columns))
 
         there = slice(len(columns))
         count[place, there] = by_block(used)
@@ -304,15 +309,7 @@ def _block_moments(total: NDArray[np.uint32], sound: Mask, grid: tuple[int, ...]
     return count, means, squares
 
 
-def _with_edges(levels: Values, pixels: Counts) -> Values:
-    """Return the levels of blocks; a last row or column without a pixel repeats the one before."""
-    for of_edge, counts in ((levels, pixels), (levels.T, pixels.T)):
-        if len(of_edge) > 1 and not counts[-1].any():
-            of_edge[-1] = of_edge[-2]
-    return levels
-
-
-def _stuck(stack: BiasStack, scatter: Counts, floor: int) -> Mask:
+def _find_stuck(stack: BiasStack, scatter: Counts, floor: int) -> Mask:
     """Return the pixels that never change, if the noise of the others makes that improbable."""
     lowest, highest, frames = stack.lowest, stack.highest, stack.frames
     constant = lowest == highest

@@ -168,15 +168,14 @@ class FlatPairs(FrameSums):
         """
         self._check(first)
         defects = self._check(second)
-        height, width = first.shape
-        if width < SEGMENT:
-            raise ArgumentError(f"flat frames must be {SEGMENT} pixels wide or more; found {width}")
+        if first.shape[1] < SEGMENT:
+            raise ArgumentError(f"flat frames must be {SEGMENT} pixels wide or more; found {first.shape[1]}")
         for frame in (first, second):
             self._count(frame, defects)
         ratios, every = self._ratios(first, second, defects), np.arange(_LEVELS)
         for channel in range(self.channels):
             medians = []
-            for top in range(0, height, _ROWS):
+            for top in range(0, len(first), _ROWS):
                 rows = slice(top, top + _ROWS)
                 signal, clipped, figures = self._measure(first[rows], second[rows], defects[rows], channel, ratios)
                 level = np.clip((signal / self._level_dn).astype(np.int64), 0, _LEVELS - 1)
@@ -197,12 +196,11 @@ class FlatPairs(FrameSums):
         for channel, histogram in enumerate(counts[0]):
             total = int(histogram.sum())
             bad = int(histogram[: self.floor_dn + 1].sum()) + int(histogram[math.ceil(self.limit_dn) :].sum())
-            if total < 2 or bad > CLIPPED_SHARE * 0.01 * total:
-                continue
-            median = float(np.searchsorted(np.cumsum(histogram), total / 2))
-            first, second = int(histogram @ values), int(histogram @ values**2)
-            variance = (second - first * first / total) / (total - 1)
-            self.single_frames[channel].append((median - float(self.black[channel]), variance))
+            if total > 1 and bad <= CLIPPED_SHARE * 0.01 * total:
+                median = float(np.searchsorted(np.cumsum(histogram), total / 2))
+                first, second = int(histogram @ values), int(histogram @ values**2)
+                variance = (second - first * first / total) / (total - 1)
+                self.single_frames[channel].append((median - float(self.black[channel]), variance))
 
     def _measure(
         self, first: Mosaic, second: Mosaic, defects: Mask, channel: int, ratios: Values
@@ -247,15 +245,13 @@ class FlatPairs(FrameSums):
         period = len(self.pattern)
         ratios = np.ones(self.channels)
         for channel in range(self.channels):
-            one, two = [], []
+            pairs = []
             for y, x in np.argwhere(self.pattern == channel):
-                rows = slice(y, None, period * max(1, len(first) // (64 * period)))
-                a, b = first[rows, x::period].astype(np.int64), second[rows, x::period].astype(np.int64)
+                site = slice(y, None, period * max(1, len(first) // (64 * period))), slice(x, None, period)
+                a, b = first[site].astype(np.int64), second[site].astype(np.int64)
                 is_whole = (np.minimum(a, b) > self.floor_dn) & (np.maximum(a, b) < self.limit_dn)
-                used = is_whole & ~defects[rows, x::period]
-                one.append(a[used])
-                two.append(b[used])
-            a, b = np.concatenate(one), np.concatenate(two)
+                pairs.append(np.stack([a, b])[:, is_whole & ~defects[site]])
+            a, b = np.concatenate(pairs, axis=1)
             if len(a) < 2:
                 continue
             light = (a.mean() - self.black[channel], b.mean() - self.black[channel])
@@ -266,9 +262,8 @@ class FlatPairs(FrameSums):
     @property
     def left_out(self) -> float:
         """Share of the measurements in levels that are left out as saturated, clipped segments included."""
-        whole, clipped = np.moveaxis(self._segments, 2, 0)
-        total = int(whole.sum() + clipped.sum())
-        return 1 - float(whole[self._usable].sum()) / total if total else 0.0
+        total = int(self._segments.sum())
+        return 1 - float(self._segments[self._usable, 0].sum()) / total if total else 0.0
 
     @property
     def correlation(self) -> tuple[float, float]:
@@ -284,8 +279,7 @@ class FlatPairs(FrameSums):
     @property
     def _usable(self) -> Mask:
         whole, clipped = np.moveaxis(self._segments, 2, 0)
-        usable: Mask = (self._sums[:, :, 0] > 0) & (clipped <= CLIPPED_SHARE * (whole + clipped))
-        return usable
+        return np.asarray((self._sums[:, :, 0] > 0) & (clipped <= CLIPPED_SHARE * (whole + clipped)))
 
     def points(self, channel: int) -> tuple[Values, Values, Values]:
         """Return signal (DN over black), variance (DN^2) and degrees of freedom of a channel's usable levels."""
@@ -322,11 +316,10 @@ def _medians(freedom: Values, variance: Values, signal: Values) -> list[tuple[fl
     signal, variance = signal / freedom, variance / freedom
     points = []
     for group in np.array_split(np.argsort(signal, kind="stable"), _MEDIANS):
-        if group.size < _FEWEST_SEGMENTS:
-            continue
-        n = float(np.median(freedom[group]))
-        middle = float(np.median(variance[group])) / (1 - 2 / (9 * n)) ** 3
-        points.append((float(np.median(signal[group])), middle, math.sqrt(math.pi / n / group.size)))
+        if group.size >= _FEWEST_SEGMENTS:
+            n = float(np.median(freedom[group]))
+            middle = float(np.median(variance[group])) / (1 - 2 / (9 * n)) ** 3
+            points.append((float(np.median(signal[group])), middle, math.sqrt(math.pi / n / group.size)))
     return points
 
 
@@ -356,12 +349,9 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
         _weighted_line(*flats.points(channel), *flats.scatter(channel), channel) for channel in range(flats.channels)
     )
     correlation, error = flats.correlation
-    return replace(
-        _join_lines(lines, flats.frames, flats.left_out),
-        correlation=correlation,
-        correlation_error=error,
-        medians=tuple(map(flats.medians, range(flats.channels))),
-    )
+    medians = tuple(map(flats.medians, range(flats.channels)))
+    joined = _join_lines(lines, flats.frames, flats.left_out)
+    return replace(joined, correlation=correlation, correlation_error=error, medians=medians)
 
 
 def _weighted_line(
@@ -419,14 +409,12 @@ def spatial_photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     DatasetError
         If a channel has fewer than three usable frames.
     """
-    return _join_lines(
-        tuple(_plain_line(points, channel) for channel, points in enumerate(flats.single_frames)),
-        flats.frames,
-        1 - sum(map(len, flats.single_frames)) / max(1, flats.frames * len(flats.single_frames)),
-    )
+    lines = tuple(_fit_plain_line(points, channel) for channel, points in enumerate(flats.single_frames))
+    left_out = 1 - sum(map(len, flats.single_frames)) / (flats.frames * flats.channels)
+    return _join_lines(lines, flats.frames, left_out)
 
 
-def _plain_line(points: Sequence[tuple[float, float]], channel: int) -> PhotonTransferLine:
+def _fit_plain_line(points: Sequence[tuple[float, float]], channel: int) -> PhotonTransferLine:
     signal, variance = np.array(points, dtype=np.float64).reshape(-1, 2).T
     if len(signal) < 3 or not np.ptp(signal) > 0:
         raise DatasetError(

@@ -6,7 +6,6 @@ import math
 from collections import Counter, defaultdict
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
 
 Crop = tuple[slice, slice]
 """Rows and columns of a mosaic."""
+
+WHOLE: Crop = (slice(None), slice(None))
 
 
 class FramesError(DatasetError):
@@ -72,7 +73,7 @@ class IsoFrames:
     problems: tuple[Problem, ...] = ()
     stated_gain_dn_per_e: float | None = None
     accept: tuple[str, ...] = ()
-    crop: Crop = (slice(None), slice(None))
+    crop: Crop = WHOLE
 
     @property
     def records(self) -> tuple[FrameRecord, ...]:
@@ -175,11 +176,7 @@ class FrameReader:
     """
 
     def __init__(
-        self,
-        frames: CalibrationFrames,
-        workers: Workers = IN_THIS_PROCESS,
-        done: Callable[[], object] = lambda: None,
-        crop: Crop = (slice(None), slice(None)),
+        self, frames: CalibrationFrames, workers: Workers, done: Callable[[], object], crop: Crop = WHOLE
     ) -> None:
         self.frames, self.workers, self._done, self._crop = frames, workers, done, crop
         self._sensors: dict[FrameRecord, Sensor] = {}
@@ -259,8 +256,9 @@ def picture_crop(frames: CalibrationFrames, chosen: Sequence[IsoFrames]) -> Crop
     from eldata.raw.damage import picture_area
 
     parts = []
-    for records in ([one.bias for one in chosen], [[pair.first for pair in one.pairs] for one in chosen]):
-        for record in chain.from_iterable(records):
+    bias = [record for of_iso in chosen for record in of_iso.bias]
+    for records in (bias, [pair.first for of_iso in chosen for pair in of_iso.pairs]):
+        for record in records:
             with suppress(RawFileError):  # who measures says why
                 mosaic = frames.read(record).mosaic
                 area = zip(picture_area(mosaic), mosaic.shape, strict=True)
@@ -268,25 +266,22 @@ def picture_crop(frames: CalibrationFrames, chosen: Sequence[IsoFrames]) -> Crop
                 break
     # Counted from both ends: a frame of another size must keep it, to be found.
     rows, columns = (
-        slice(max(start for start, _ in ends), min(stop for _, stop in ends) or None)
+        slice(max(start for start, _ in ends) or None, min(stop for _, stop in ends) or None)
         for ends in zip(*parts or [[(0, 0)] * 2], strict=True)
     )
-    crop = slice(rows.start or None, rows.stop), slice(columns.start or None, columns.stop)
-    return None if crop == (slice(None), slice(None)) else crop
+    return None if (rows, columns) == WHOLE else (rows, columns)
 
 
 def check_crop(crop: Crop) -> Crop:
     """Return two slices without a step; raise :class:`ArgumentError` for anything else."""
-    parts: tuple[object, ...] = crop
-    if len(parts) != 2 or any(not isinstance(part, slice) or part.step is not None for part in parts):
+    if len(crop) != 2 or any(not isinstance(part, slice) or part.step is not None for part in crop):
         raise ArgumentError(f"crop is two slices without a step, of rows and of columns; found {crop!r}")
     return crop
 
 
 def crop_text(crop: Crop) -> str:
     """Return rows and columns as ``--crop`` states them."""
-    rows, columns = (f"{'' if p.start is None else p.start}:{'' if p.stop is None else p.stop}" for p in crop)
-    return f"{rows},{columns}"
+    return ",".join(f"{'' if p.start is None else p.start}:{'' if p.stop is None else p.stop}" for p in crop)
 
 
 def compare_sensors(record: FrameRecord, sensor: Sensor, usual: Sensor, example: str) -> list[Problem]:
@@ -307,7 +302,7 @@ def odd_sensors(sensors: Mapping[FrameRecord, Sensor]) -> list[Problem]:
     """Return the differences between some frames of one ISO and most of them."""
     kinds: dict[FrameRecord, list[FrameRecord]] = {}  # by the first of each
     for record, sensor in sensors.items():
-        first = next((one for one in kinds if not compare_sensors(record, sensor, sensors[one], "")), record)
+        first = next((like for like in kinds if not compare_sensors(record, sensor, sensors[like], "")), record)
         kinds.setdefault(first, []).append(record)
     if len(kinds) < 2:
         return []

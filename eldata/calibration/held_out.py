@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.calibration.sums import by_pixel
-from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from eldata.calibration.defects import FixedPattern
@@ -109,21 +108,13 @@ def reproduction(
 
     ``held_out`` is the frame, or what :func:`compared_piece` has kept of it.
 
-    Raises
-    ------
-    ArgumentError
-        If the frame's shape is not that of the fixed pattern, or a side is smaller than 192 pixels.
+    The pattern's frames have 192 pixels a side or more.
     """
     shape, period = fixed.total_dn.shape, len(fixed.pattern)
     place = _middle(shape, (_SIDE, _SIDE), period)
     sound = ~fixed.defects[place]
     if held_out.shape == shape:
         held_out = held_out[place]
-    if held_out.shape != sound.shape or min(shape) < max(_SHOWN):
-        raise ArgumentError(
-            f"the comparison is of frames of one shape, {max(_SHOWN)} pixels a side or more; found {held_out.shape} "
-            f"and {shape}"
-        )
     real = held_out - fixed.total_dn[place] / fixed.frames
     channel = by_pixel(np.arange(len(sensor.black_level_dn)), fixed.pattern, real.shape)
     block = _SHADING_BLOCK * len(fixed.pattern)
@@ -172,8 +163,11 @@ def reproduction(
 
 def _middle(shape: tuple[int, ...], side: tuple[int, int], period: int) -> tuple[slice, slice]:
     """Return a piece in the middle that begins with the CFA's period."""
-    starts = [max(0, (length - size) // 2) // period * period for length, size in zip(shape, side, strict=True)]
-    return slice(starts[0], starts[0] + min(side[0], shape[0])), slice(starts[1], starts[1] + min(side[1], shape[1]))
+    rows, columns = (
+        slice(start := max(0, (length - size) // 2) // period * period, start + min(size, length))
+        for length, size in zip(shape, side, strict=True)
+    )
+    return rows, columns
 
 
 def _simulate(
@@ -197,27 +191,26 @@ def _simulate(
     # light there: all are raised by whole DN, and the colour bias is lowered by as many.
     pattern = level_dn + spread_dn * generator.standard_normal(spread_dn.shape)
     raised = float(np.ceil(max(0.0, -pattern.min())))
-    red, first_green, blue, second_green = (bias - raised for bias in parameters.colour_bias_dn)
-    parameters = replace(parameters, colour_bias_dn=(red, first_green, blue, second_green))
+    bias: Any = tuple(bias - raised for bias in parameters.colour_bias_dn)
+    parameters = replace(parameters, colour_bias_dn=bias)
     levels = ((pattern + raised) / range_dn).astype(np.float32)
 
-    def frame() -> Values:
-        noisy = model.on_mosaic(
-            levels, cfa=sensor.cfa, parameters=parameters, ratio=1.0, range_dn=range_dn, generator=generator
-        )
+    options: dict[str, Any] = {"parameters": parameters, "ratio": 1.0, "range_dn": range_dn, "generator": generator}
+
+    def make_frame() -> Values:
+        noisy = model.on_mosaic(levels, cfa=sensor.cfa, **options)
         return np.asarray(np.rint(noisy.astype(np.float64) * range_dn + black))
 
-    first = frame()
+    first = make_frame()
     others = np.zeros(spread_dn.shape)
     for _ in range(frames):
-        others += frame()
+        others += make_frame()
     return first, first - others / frames
 
 
 def _histogram(ordered: Values, cell: float) -> Values:
     edges = (np.arange(-60, 61) + 0.5) * cell
-    shares: Values = np.histogram(ordered, [-np.inf, *edges, np.inf])[0] / ordered.size
-    return shares
+    return np.asarray(np.histogram(ordered, [-np.inf, *edges, np.inf])[0] / ordered.size)
 
 
 def _distance(first: Values, second: Values) -> float:

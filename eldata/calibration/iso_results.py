@@ -1,34 +1,214 @@
-"""What a calibration found at one ISO: one record for each figure, with its error, and why some are withheld.
+"""What a calibration found at one ISO: one record for each figure, with its error, and the findings that withhold it.
 
 A figure is declared once, where its ISO makes its record (:attr:`IsoCalibration.figures`); profile, tables, JSON, page
-and plots read that record.
+and plots read that record. Each check (:mod:`eldata.calibration.checks`) leaves a finding for the figures that it
+touches: they are withheld, or given with a larger error. A remark touches none.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 
 from eldata.base.tables import with_error
-from eldata.calibration.findings import SYMBOLS, list_symbols
+from eldata.calibration.frames import FramesError
+from eldata.errors import ArgumentError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable, Iterator, Mapping
 
+    from eldata.calibration.bias_sums import ColourBias, LineNoise, RowNoise
     from eldata.calibration.defects import PatternSummary
-    from eldata.calibration.findings import Effect, Finding, Quantity
-    from eldata.calibration.flats import PhotonTransfer
+    from eldata.calibration.flats import PhotonTransfer, PhotonTransferLine
     from eldata.calibration.held_out import Reproduction
-    from eldata.calibration.lines import ColourBias, LineNoise, RowNoise
     from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
     from eldata.calibration.sums import Plane
     from eldata.manifest.verify_report import Problem
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import ProfileRow
     from eldata.records import Sensor
+
+# --- findings ---------------------------------------------------------------------------------------------------------
+
+Quantity = Literal["gain", "shape", "read noise", "row noise", "colour bias"]
+"""What a calibration measures at one ISO. Shape is that of the read noise with its scale: lambda and sigma_TL."""
+
+Quantities: TypeAlias = tuple[Quantity, ...]
+
+SYMBOLS: Final[Mapping[Quantity, str]] = {
+    "gain": "K",
+    "shape": "lambda, sigma_TL",
+    "read noise": "sigma_G",
+    "row noise": "sigma_row",
+    "colour bias": "the colour bias",
+}
+
+
+def list_symbols(figures: Collection[Quantity]) -> str:
+    """Return the figures' symbols as a list."""
+    return ", ".join(symbol for figure, symbol in SYMBOLS.items() if figure in figures)
+
+
+Effect = Literal["withheld", "wider", "remark"]
+
+CHANCE: Final = 1e-5
+"""That a check of bias frames speaks without a reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One check of one ISO's frames that an assumption did not pass.
+
+    Attributes
+    ----------
+    check
+        Its name, as docs/calibration.md lists it.
+    figures
+        The figures that rest on the assumption; empty for a remark.
+    effect
+        ``"withheld"``: the figures are not given. ``"wider"``: their errors are made larger by ``allowance``.
+        ``"remark"``: the figures hold, and a person should know.
+    statistic, threshold
+        What the check measured, and beyond what it speaks.
+    text
+        What was seen, and what to do about it, in a sentence or two. What becomes of the figures is added to it.
+    allowance
+        What is added in quadrature to the standard errors of effect ``"wider"``, as a share of the figure; of lambda as
+        it is, of the colour bias in DN. Of effect ``"withheld"``: what would be, if the finding is accepted.
+    is_accepted
+        Whether the figures would be withheld, and are given because somebody has accepted the check.
+    """
+
+    check: str
+    figures: Quantities
+    effect: Effect
+    statistic: float
+    threshold: float
+    text: str
+    allowance: float = 0.0
+    is_accepted: bool = False
+
+    @property
+    def is_acceptable(self) -> bool:
+        """Whether withheld figures can be given with a larger error: not if they may be off by all of themselves."""
+        most = math.inf if self.figures == ("colour bias",) else 1
+        return self.effect == "withheld" and self.check in ACCEPTABLE and 0 < self.allowance < most
+
+    @property
+    def remark(self) -> str:
+        """The text, and what becomes of the figures for it."""
+        if self.effect == "remark" or not self.figures:
+            return self.text
+        fate = f"withheld: {list_symbols(self.figures)}"
+        if self.is_acceptable:
+            fate += f'; to have it all the same, with a larger error: --accept "{self.check}"'
+        elif self.is_accepted:
+            fate = f"accepted, with a larger error: {list_symbols(self.figures)}"
+        elif self.effect == "wider":
+            fate = f"errors made larger: {list_symbols(self.figures)}"
+        return f"{self.text} ({fate})"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What is looked at in the frames, and what of the figures rests on it.
+
+    Attributes
+    ----------
+    name
+        As docs/calibration.md lists it.
+    figures
+        What it withholds or gives with a larger error; empty: it only says what a person should know.
+    most_allowed
+        The share of a figure beyond which it is not given; up to it, its error allows for it.
+    is_acceptable
+        Whether a person may have what it withholds all the same: it knows how far off the figure may be.
+    """
+
+    name: str
+    figures: Quantities = ()
+    most_allowed: float = 0.05
+    is_acceptable: bool = False
+
+    def find(
+        self, statistic: float, threshold: float, text: str, effect: Effect = "remark", figures: Quantities = (),
+        allowance: float = 0.0,
+    ) -> Finding:  # fmt: skip
+        """Return a finding of this check; by default a remark."""
+        return Finding(self.name, figures, effect, statistic, threshold, text, allowance)
+
+    def withhold(
+        self, statistic: float, threshold: float, text: str, figures: Quantities = (), allowance: float = 0.0
+    ) -> Finding:
+        """Return the finding that figures are withheld, by default all of this check."""
+        return self.find(statistic, threshold, text, "withheld", figures or self.figures, allowance)
+
+    def judge(
+        self, statistic: float, threshold: float, text: str, shares: Mapping[Quantity, tuple[float, float]]
+    ) -> Iterator[Finding]:
+        """Yield the findings that follow, given the share by which each figure may be off, and its own error."""
+        lost = {figure: share for figure, (share, _) in shares.items() if share > self.most_allowed}
+        wider = {figure: share for figure, (share, error) in shares.items() if error < share <= self.most_allowed}
+        if lost:
+            yield self.withhold(statistic, threshold, text, tuple(lost), max(lost.values()))
+        if wider:
+            yield self.find(statistic, threshold, text, "wider", tuple(wider), max(wider.values()))
+        if not lost and not wider:
+            yield self.find(statistic, threshold, text)
+
+
+READ: Final[Quantities] = ("shape", "read noise")
+_TOO_WIDE: Final = 0.1
+"""Of K: beyond it, no error says how wrong it may be."""
+
+LIGHT: Final = Check("light", (*READ, "colour bias"), is_acceptable=True)
+CORRELATED: Final = Check("correlated noise", (*READ, "row noise"), is_acceptable=True)
+COARSE: Final = Check("coarse values", (*READ, "row noise", "gain"), is_acceptable=True)
+NO_LINE: Final = Check("uneven flats", ("gain",), _TOO_WIDE, is_acceptable=True)
+FLATS_CORRELATED: Final = Check("correlation in flats", ("gain",), _TOO_WIDE, is_acceptable=True)
+SATURATION: Final = Check("saturation", ("gain",))
+TRANSFER: Final = Check("photon transfer", ("gain",))
+SHAPE: Final = Check("shape of the read noise", READ)
+FIT: Final = Check("fit of the read noise", READ)
+ROUNDING: Final = Check("rounding", (*READ, "row noise", "colour bias"))
+CLIPPED: Final = Check("clipped black", (*READ, "row noise", "colour bias"))
+STEP: Final = Check("a step over the ISOs")
+BLACK: Final = Check("stated black", ("colour bias",))
+
+CHECKS: Final = (
+    *(LIGHT, CORRELATED, COARSE, NO_LINE, FLATS_CORRELATED, SATURATION),
+    *(TRANSFER, SHAPE, FIT, ROUNDING, CLIPPED, STEP, BLACK),
+)
+"""Every one that there is."""
+
+ACCEPTABLE: Final = tuple(check.name for check in CHECKS if check.is_acceptable)
+"""Checks that know how far off a figure may be that they withhold: it can be accepted with that for its error."""
+
+
+def check_acceptance(accept: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of checks to be accepted; :class:`ArgumentError` if one of them is not a check that can be."""
+    names = (accept,) if isinstance(accept, str) else tuple(accept)
+    for name in names:
+        if name not in ACCEPTABLE:
+            raise ArgumentError(
+                f"{name!r} is not a check whose withheld figures can be accepted; known are "
+                f"{', '.join(map(repr, ACCEPTABLE))}{did_you_mean(str(name), ACCEPTABLE)}"
+            )
+    return names
+
+
+def accept_findings(findings: Iterable[Finding], accept: Collection[str]) -> tuple[Finding, ...]:
+    """Return findings that give with a larger error what accepted checks among them would withhold."""
+    return tuple(
+        replace(one, effect="wider", is_accepted=True) if one.is_acceptable and one.check in accept else one
+        for one in findings
+    )
+
+
+# --- figures ----------------------------------------------------------------------------------------------------------
 
 SCALES = {"sigma_tl_dn": "sigma_TL", "sigma_gauss_dn": "sigma_G", "sigma_row_dn": "sigma_row"}
 """Figures that have a line over K, with their labels."""
@@ -178,11 +358,11 @@ class IsoGain:
         shares = (one.allowance for one in self.findings if quantity in one.figures and one.effect == "wider")
         return replace(figure, error=math.hypot(figure.error, *(share * scale for share in shares)))
 
-    def _gain_of(self, measured: Any) -> MeasuredFigure | None:
-        """Return K [DN/e-] of what an estimator measured, if anything; ``None`` if it is withheld."""
-        if measured is None:
+    def _judge_gain(self, measured: PhotonTransfer | PhotonTransferLine | None) -> MeasuredFigure | None:
+        """Return K of an estimate, if there is one; ``None`` if it is withheld."""
+        if measured is None or "gain" in self.withheld:
             return None
-        return _known(self.judge("gain", MeasuredFigure(*_GAIN, measured.gain_dn_per_e, measured.gain_error, "DN/e-")))
+        return self.judge("gain", MeasuredFigure(*_GAIN, measured.gain_dn_per_e, measured.gain_error, "DN/e-"))
 
     @property
     def gain(self) -> MeasuredFigure | None:
@@ -190,7 +370,7 @@ class IsoGain:
 
         Wei et al., TPAMI 2021, section 3.2.1, equations 9 to 11; EMVA 1288, photon transfer method.
         """
-        measured = self._gain_of(self.transfer)
+        measured = self._judge_gain(self.transfer)
         if measured is None and self.stated_gain_dn_per_e is not None:
             return MeasuredFigure(*_GAIN, self.stated_gain_dn_per_e, unit="DN/e-", is_stated=True)
         return measured
@@ -203,20 +383,18 @@ class IsoGain:
     @property
     def channel_gains(self) -> tuple[MeasuredFigure, ...] | None:
         """K by CFA channel [DN/e-]."""
-        gains = map(self._gain_of, () if self.transfer is None else self.transfer.channels)
-        return tuple(gain for gain in gains if gain is not None) or None
+        gains = map(self._judge_gain, () if self.transfer is None else self.transfer.channels)
+        return tuple(filter(None, gains)) or None
 
     @property
     def spatial_gain(self) -> MeasuredFigure | None:
         """K by the published single-frame method [DN/e-], for comparison."""
-        return self._gain_of(self.spatial)
+        return self._judge_gain(self.spatial)
 
     @property
     def gain_text(self) -> str:
         """K with its error as tables show it: "-" if it was never measured, "withheld" if that is not given."""
-        if self.gain is None:
-            return "withheld" if "gain" in self.withheld else "-"
-        return self.gain.text
+        return self.gain.text if self.gain is not None else "withheld" if "gain" in self.withheld else "-"
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure with its standard error as JSON types; ``None``: withheld, or not finite."""
@@ -239,10 +417,6 @@ class IsoGain:
 
 
 _GAIN = ("gain_dn_per_e", "K")
-
-
-def _known(figure: MeasuredFigure) -> MeasuredFigure | None:
-    return None if math.isnan(figure.value) else figure
 
 
 def _without_infinities(value: Any) -> Any:
@@ -305,16 +479,15 @@ class IsoCalibration(IsoGain):
         Of the read noise (Wei et al., TPAMI 2021, section 3.2.1, figure 7), as published beside it, and of the row
         noise (figures 5 and 6). Where values end at a floor, there is no read noise.
         """
-        read, rows, columns, single = self.read, self.rows.rows, self.rows.columns, self.single_frame
+        read, rows, columns = self.read, self.rows.rows, self.rows.columns
 
         def of_read(label: str, name: str, error: str = "", **options: Any) -> MeasuredFigure:
-            value, error_of_it = (getattr(read, each, math.nan) if each else math.nan for each in (name, error))
-            return MeasuredFigure(name, label, value, error_of_it, **options)
+            return MeasuredFigure(name, label, getattr(read, name, math.nan), getattr(read, error, math.nan), **options)
 
         def of_lines(label: str, name: str, noise: LineNoise) -> MeasuredFigure:
             return MeasuredFigure(name, label, noise.sigma_dn, noise.sigma_error_dn, unit="DN")
 
-        of_frame, of_normal = (math.nan, math.nan) if single is None else single[:2]
+        of_frame, of_normal, _ = self.single_frame or (math.nan,) * 3
         plain: dict[str, Any] = {"decimals": 5}
         figures = (
             self.judge("shape", of_read("lambda", "tukey_lambda", "tukey_lambda_error"), 1.0),
@@ -333,50 +506,52 @@ class IsoCalibration(IsoGain):
         )
         return {figure.name: figure for figure in figures}
 
-    def given(self, name: str) -> MeasuredFigure | None:
+    def find_figure(self, name: str) -> MeasuredFigure | None:
         """Return a figure of the dark; ``None`` if it is withheld."""
-        return _known(self.figures[name])
+        figure = self.figures[name]
+        return None if math.isnan(figure.value) else figure
 
     @property
     def tukey_lambda(self) -> MeasuredFigure | None:
         """Shape of the read noise."""
-        return self.given("tukey_lambda")
+        return self.find_figure("tukey_lambda")
 
     @property
     def sigma_tl_dn(self) -> MeasuredFigure | None:
         """Scale of the read noise [DN]."""
-        return self.given("sigma_tl_dn")
+        return self.find_figure("sigma_tl_dn")
 
     @property
     def sigma_gauss_dn(self) -> MeasuredFigure | None:
         """Standard deviation of the read noise [DN]."""
-        return self.given("sigma_gauss_dn")
+        return self.find_figure("sigma_gauss_dn")
 
     @property
     def sigma_row_dn(self) -> MeasuredFigure | None:
         """Standard deviation of the row noise [DN]."""
-        return self.given("sigma_row_dn")
+        return self.find_figure("sigma_row_dn")
 
     @property
     def sigma_column_dn(self) -> MeasuredFigure | None:
         """Standard deviation of what columns have of their own [DN]; withheld with the row noise."""
-        return self.given("sigma_column_dn")
+        return self.find_figure("sigma_column_dn")
 
     @property
     def colour_bias(self) -> tuple[MeasuredFigure, ...] | None:
         """Colour bias by CFA channel [DN], section 3.2.1, figure 4; ``None`` if it is withheld."""
+        if "colour bias" in self.withheld:
+            return None
         pairs = zip(self.bias.bias_dn, self.bias.standard_error_dn, strict=True)
         channels = (MeasuredFigure("colour_bias_dn", "colour bias", value, error, "DN") for value, error in pairs)
-        figures = map(_known, (self.judge("colour bias", channel, 1.0) for channel in channels))
-        return tuple(figure for figure in figures if figure is not None) or None
+        return tuple(self.judge("colour bias", channel, 1.0) for channel in channels)
 
     @property
     def colour_bias_dn(self) -> tuple[float, float, float, float] | None:
         """Colour bias of R, G1, B, G2; X-Trans has one green, which stands for both. ``None`` if it is withheld."""
         if self.colour_bias is None:
             return None
-        red, green, blue, *second = (channel.value for channel in self.colour_bias)
-        return (red, green, blue, *(second or [green]))[:4]  # type: ignore[return-value] # of three or four channels
+        values = [channel.value for channel in self.colour_bias]
+        return (*values, values[1])[:4]  # type: ignore[return-value] # of three or four channels
 
     @property
     def spectrum_lines(self) -> tuple[float, float, float]:
@@ -385,9 +560,9 @@ class IsoCalibration(IsoGain):
         Without the frequencies next to 0, which are shading and drift in both directions.
         """
         spectrum = np.asarray(self.spectrum_dn2, dtype=np.float64)
-        rows, columns = (length // 2 for length in spectrum.shape)
-        far = np.abs(np.arange(len(spectrum)) - rows) > 4
-        return float(np.median(spectrum)), float(spectrum[far, columns].mean()), float(spectrum[rows, far].mean())
+        middle = len(spectrum) // 2
+        far = np.abs(np.arange(len(spectrum)) - middle) > 4
+        return float(np.median(spectrum)), float(spectrum[far, middle].mean()), float(spectrum[middle, far].mean())
 
     @property
     def parameters(self) -> NoiseParameters | None:
@@ -395,11 +570,10 @@ class IsoCalibration(IsoGain):
 
         A gain of 1 stands for one that is not known.
         """
-        row = self.profile_row
-        if row is None:
+        if (row := self.profile_row) is None:
             return None
-        gain = self.gain_dn_per_e or 1.0
-        return replace(row, iso=None, gain_dn_per_e=gain).parameters(None, self.quantisation_step_dn)
+        row = replace(row, iso=None, gain_dn_per_e=self.gain_dn_per_e or 1.0)
+        return row.parameters(None, self.quantisation_step_dn)
 
     @property
     def profile_row(self) -> ProfileRow | None:
@@ -410,7 +584,7 @@ class IsoCalibration(IsoGain):
         colour_bias = self.colour_bias_dn
         if colour_bias is None or not {"tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn"} <= values.keys():
             return None
-        frames = [(*of_one, of_one[1])[:4] for of_one in self.bias.frame_bias_dn.round(_FRAME_DECIMALS).tolist()]
+        frames = [(*bias, bias[1])[:4] for bias in self.bias.frame_bias_dn.round(_FRAME_DECIMALS).tolist()]
         names = "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn", "r_squared_tl", "r_squared_gauss"
         return ProfileRow(
             tukey_lambda=values["tukey_lambda"],
@@ -447,11 +621,4 @@ class FailedIso:
     @property
     def remark(self) -> str:
         """What the calibration says of it."""
-        more = f" (and {len(self.problems) - 1} more problems)" if len(self.problems) > 1 else ""
-        return f"ISO {self.iso:g} was left out: {self.problems[0]}{more}"
-
-
-def usual_gain_per_iso(isos: Iterable[IsoGain]) -> float:
-    """Return the median of K / ISO, DN per electron at ISO 1; nan if no gain is known."""
-    ratios = [one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None]
-    return float(np.median(ratios)) if ratios else math.nan
+        return f"ISO {self.iso:g} was left out: {FramesError(self.problems)}"

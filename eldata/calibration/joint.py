@@ -8,22 +8,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.findings import STEP
 from eldata.calibration.flats import straight_line
-from eldata.calibration.iso_results import SCALES
+from eldata.calibration.iso_results import SCALES, STEP
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.profile import GainMode, LogLogFit, modes_problem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from eldata.calibration.findings import Finding
-    from eldata.calibration.iso_results import IsoCalibration, MeasuredFigure
+    from eldata.calibration.iso_results import Finding, IsoCalibration, MeasuredFigure
 
     _Noisy = tuple[IsoCalibration, MeasuredFigure]
 
@@ -165,28 +164,31 @@ def find_steps(isos: Sequence[IsoCalibration]) -> list[tuple[float, Finding]]:
     0 to 1, and between two ISOs lies between those on either side; between the lowest two and the highest two it is
     anywhere from 0 to 1. A camera that switches its conversion gain leaves both.
     """
-    known = sorted((one for one in isos if one.gain is not None), key=lambda one: one.iso)
+    known = sorted((record for record in isos if record.gain is not None), key=attrgetter("iso"))
     steps = []
-    for one, other in pairwise(known):
-        off = math.log(_gain(other) / _gain(one) * one.iso / other.iso)
-        error = math.hypot(*(_relative_error(each.gain) for each in (one, other)))
+    for before, after in pairwise(known):
+        off = math.log(_gain(after) / _gain(before) * before.iso / after.iso)
+        error = math.hypot(_relative_error(before.gain), _relative_error(after.gain))
         threshold = max(_LEAST_STEP_OF_GAIN, _SURELY * error)
         if abs(off) > threshold:
-            steps.append(_step(one, other, f"K over the ISO changes by {math.expm1(off):+.0%}", off, threshold))
-    noisy = [(one, noise) for one in known if (noise := one.sigma_gauss_dn) is not None and noise.value > 0]
-    for (one, before), (other, after), off, threshold in _noise_steps(sorted(noisy, key=lambda each: _gain(each[0]))):
-        what = (
-            f"the read noise goes from {before.text} to {after.text} DN, {math.expm1(off):+.0%} beside what K and the "
-            "ISOs around make likely"
+            change = f"K over the ISO changes by {math.expm1(off):+.0%}"
+            steps.append(_describe_step(before, after, change, off, threshold))
+    noisy = [(record, noise) for record in known if (noise := record.sigma_gauss_dn) is not None and noise.value > 0]
+    for (before, noise), (after, its_noise), off, threshold in _noise_steps(sorted(noisy, key=lambda n: _gain(n[0]))):
+        change = (
+            f"the read noise goes from {noise.text} to {its_noise.text} DN, {math.expm1(off):+.0%} beside what K and "
+            "the ISOs around make likely"
         )
-        steps.append(_step(one, other, what, off, threshold))
+        steps.append(_describe_step(before, after, change, off, threshold))
     return sorted(steps, key=lambda step: step[0])
 
 
-def _step(one: IsoCalibration, other: IsoCalibration, what: str, off: float, threshold: float) -> tuple[float, Finding]:
-    low, high = sorted((one.iso, other.iso))
+def _describe_step(
+    before: IsoCalibration, after: IsoCalibration, change: str, off: float, threshold: float
+) -> tuple[float, Finding]:
+    low, high = sorted((before.iso, after.iso))
     text = (
-        f"between ISO {low:g} and {high:g} {what}, as where a camera switches its conversion gain or scales numbers; "
+        f"between ISO {low:g} and {high:g} {change}, as where a camera switches its conversion gain or scales numbers; "
         "one line through both sides makes the noise that is drawn from it more varied than the camera's: state the "
         f"gain mode with --mode {high:g} (modes=[{high:g}]), or that there is none with --mode none (modes=[])"
     )
@@ -195,43 +197,38 @@ def _step(one: IsoCalibration, other: IsoCalibration, what: str, off: float, thr
 
 def _noise_steps(noisy: Sequence[_Noisy]) -> Iterator[tuple[_Noisy, _Noisy, float, float]]:
     """Yield the clearest step of sigma_G over K, then those on either side of it."""
-    pairs = [(one, other) for one, other in pairwise(noisy) if _gain(other[0]) > _gain(one[0]) * math.exp(_SAME_GAIN)]
+    pairs = [pair for pair in pairwise(noisy) if _gain(pair[1][0]) > _gain(pair[0][0]) * math.exp(_SAME_GAIN)]
     if not pairs:
         return
-    moved = [
-        (
-            math.log(_gain(other) / _gain(one)),
-            math.log(after.value / before.value),
-            math.hypot(_relative_error(before), _relative_error(after)),
-        )
-        for (one, before), (other, after) in pairs
-    ]
-    slopes = [min(max(rise / gain, 0.0), 1.0) for gain, rise, _ in moved]
+    gains = [math.log(_gain(after) / _gain(before)) for (before, _), (after, _) in pairs]
+    rises = [math.log(after.value / before.value) for (_, before), (_, after) in pairs]
+    slopes = [min(max(rise / gain, 0.0), 1.0) for gain, rise in zip(gains, rises, strict=True)]
     steps = []
-    for place, (gain, rise, _) in enumerate(moved):
+    for place, (gain, rise) in enumerate(zip(gains, rises, strict=True)):
         around = [0.0, 1.0] if place in (0, len(slopes) - 1) else sorted((slopes[place - 1], slopes[place + 1]))
         steps.append(rise - min(max(rise, around[0] * gain), around[1] * gain))
     at = int(np.argmax(np.abs(steps)))
+    below, above = pairs[at]
+    error = math.hypot(_relative_error(below[1]), _relative_error(above[1]))
     others = [abs(step) for place, step in enumerate(steps) if abs(place - at) > 1]
-    threshold = max(_LEAST_STEP_OF_NOISE, _SURELY * moved[at][2], _OF_OTHERS * float(np.median(others or [0.0])))
+    threshold = max(_LEAST_STEP_OF_NOISE, _SURELY * error, _OF_OTHERS * float(np.median(others or [0.0])))
     if abs(steps[at]) > threshold:
-        one, other = pairs[at]
-        yield from _noise_steps([each for each in noisy if _gain(each[0]) <= _gain(one[0])])
-        yield one, other, steps[at], threshold
-        yield from _noise_steps([each for each in noisy if _gain(each[0]) >= _gain(other[0])])
+        yield from _noise_steps([record for record in noisy if _gain(record[0]) <= _gain(below[0])])
+        yield below, above, steps[at], threshold
+        yield from _noise_steps([record for record in noisy if _gain(record[0]) >= _gain(above[0])])
 
 
-def _gain(one: IsoCalibration) -> float:
-    return one.gain_dn_per_e or math.nan
+def _gain(record: IsoCalibration) -> float:
+    return record.gain_dn_per_e or math.nan
 
 
-def _known_error(figure: MeasuredFigure) -> float:
+def _error(figure: MeasuredFigure) -> float:
     """Return the error of a figure; 0 of one that is stated."""
     return figure.error if math.isfinite(figure.error) else 0.0
 
 
 def _relative_error(figure: MeasuredFigure | None) -> float:
-    return 0.0 if figure is None else _known_error(figure) / figure.value
+    return 0.0 if figure is None else _error(figure) / figure.value
 
 
 # --- gain modes -------------------------------------------------------------------------------------------------------
@@ -257,27 +254,29 @@ def fit_modes(
     tuple
         One mode, or each that is stated, none if no ISO has K; and why no profile can hold them, empty if it can.
     """
-    known = sorted((one for one in isos if one.gain_dn_per_e is not None), key=_gain)
+    known = sorted((record for record in isos if record.gain_dn_per_e is not None), key=_gain)
     ends = [-math.inf, *(starts or ()), math.inf]
-    parts = [[one for one in known if low <= one.iso < high] for low, high in pairwise(ends)]
+    parts = [[record for record in known if low <= record.iso < high] for low, high in pairwise(ends)]
     if starts is None or starts:
-        begun = {min(one.iso for one in part) for part in parts[1:] if part}
-        remarks += [step.remark for iso, step in find_steps(isos) if iso not in begun]
+        stated = {min(record.iso for record in part) for part in parts[1:] if part}
+        remarks += [step.remark for iso, step in find_steps(isos) if iso not in stated]
     if not known:
         return (), ""
     for place, part in enumerate(parts if starts else ()):
-        if not _makes_a_mode(part):
+        # Of two ISOs of different gain, all that a row of the profile needs.
+        complete = [record for record in part if record.sigma_tl_dn is not None and record.colour_bias_dn is not None]
+        if len({_gain(record) for record in complete}) < 2:
             which = f"from ISO {ends[place]:g} on" if place else f"below ISO {ends[1]:g}"
             return (), (
                 f"the gain mode {which} has K, read noise and colour bias at fewer than two ISOs: no line can be fitted"
             )
     fitted = [_fit_mode(part, len(parts) > 1, remarks) for part in parts]
     if starts:
-        fitted = [_extend(one, start, remarks) for one, start in zip(fitted, (None, *starts), strict=True)]
-    limits = [end for one in fitted for end in one.mode.iso_range or ()]
-    if not all(low <= high for low, high in pairwise(limits)):  # K does not go with the ISO
-        fitted = [replace(one, mode=replace(one.mode, iso_range=None)) for one in fitted]
-    modes = [one.mode for one in fitted]
+        fitted = [_extend(lines, start, remarks) for lines, start in zip(fitted, (None, *starts), strict=True)]
+    limits = [end for lines in fitted for end in lines.mode.iso_range or ()]
+    if limits != sorted(limits):  # K does not go with the ISO
+        fitted = [replace(lines, mode=replace(lines.mode, iso_range=None)) for lines in fitted]
+    modes = [lines.mode for lines in fitted]
     if len(modes) > 1 and (problem := modes_problem(modes, *whole_ranges(modes))) is not None:
         return (), problem
     return tuple(fitted), ""
@@ -290,51 +289,45 @@ def whole_ranges(modes: Sequence[GainMode]) -> tuple[tuple[float, float], tuple[
     return (first.gain_range_dn_per_e[0], last.gain_range_dn_per_e[1]), isos
 
 
-def _makes_a_mode(part: Sequence[IsoCalibration]) -> bool:
-    """Tell whether two ISOs of different gain have all that a row of the profile needs."""
-    complete = [one for one in part if one.sigma_tl_dn is not None and one.colour_bias_dn is not None]
-    return len({_gain(one) for one in complete}) > 1
-
-
 def _fit_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: list[str]) -> FittedMode:
     # Where the read noise is withheld, nothing is known. An extended ISO has the K of its neighbour, and by chance the
     # larger or the smaller one.
-    ends = [one for one in part if one.sigma_tl_dn is not None and one.sigma_gauss_dn is not None] or part
-    isos = [one.iso for one in ends]
+    ends = [record for record in part if record.sigma_tl_dn and record.sigma_gauss_dn] or part
+    isos = [record.iso for record in ends]
     lowest, highest = min(isos), max(isos)
     where = f" from ISO {lowest:g} to {highest:g}" if is_one_of_several else ""
     fits = [_fit_scale(part, name, f"{label}{where}", remarks) for name, label in SCALES.items()]
-    if all(one.sigma_row_dn is None for one in part):
+    if all(record.sigma_row_dn is None for record in part):
         if is_one_of_several:
             remarks.append(f"sigma_row is withheld at ISO {lowest:g} to {highest:g}: that gain mode makes no row noise")
         else:
             remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
-    tukey_lambda, gauss, row = (line for _, line in fits)
-    mode = GainMode((_gain(ends[0]), _gain(ends[-1])), tukey_lambda, gauss, row, (lowest, highest))
+    gains = _gain(ends[0]), _gain(ends[-1])
+    mode = GainMode(gains, *(line for _, line in fits), iso_range=(lowest, highest))
     return FittedMode(mode, *(estimate for estimate, _ in fits))
 
 
-def _extend(one: FittedMode, start: float | None, remarks: list[str]) -> FittedMode:
+def _extend(lines: FittedMode, start: float | None, remarks: list[str]) -> FittedMode:
     """Return a mode that begins where somebody states that it does, below its first measured ISO."""
-    mode = one.mode
+    mode = lines.mode
     if start is None or mode.iso_range is None or start == mode.iso_range[0]:
-        return one
+        return lines
     (lowest, highest), (least, most) = mode.iso_range, mode.gain_range_dn_per_e
     remarks.append(
         f"the gain mode of ISO {lowest:g} to {highest:g} is stated to begin at ISO {start:g}: its lines go on to there"
     )
     wider = replace(mode, gain_range_dn_per_e=(least * start / lowest, most), iso_range=(start, highest))
-    return replace(one, mode=wider)
+    return replace(lines, mode=wider)
 
 
 def _fit_scale(
     part: Sequence[IsoCalibration], name: str, label: str, remarks: list[str]
 ) -> tuple[LogLogEstimate | None, LogLogFit | None]:
     """Return the fit of a scale over K, and the line that the profile has; add to the remarks."""
-    known = [(gain, scale) for one in part if (gain := one.gain) is not None and (scale := one.given(name)) is not None]
-    usable = [(gain, scale) for gain, scale in known if scale.value > 0 and math.isfinite(scale.value)]
-    lost = len(known) - len(usable)
-    if lost:
+    pairs = ((record.gain, record.find_figure(name)) for record in part)
+    known = [(gain, scale) for gain, scale in pairs if gain is not None and scale is not None]
+    usable = [(gain, scale) for gain, scale in known if 0 < scale.value < math.inf]
+    if lost := len(known) - len(usable):
         what = f"{counted(lost, 'ISO')}, which its fit leaves out" if usable else "every ISO; the profile has none"
         remarks.append(f"{label} was 0 at {what}")
     if not usable:
@@ -345,10 +338,9 @@ def _fit_scale(
             "profile gives each as it was measured (row='measured'), and none in between"
         )
         return None, None
-    gains, scales = zip(*usable, strict=True)
     values, errors = (
-        [[read(figure) for figure in figures] for figures in (gains, scales)]
-        for read in (lambda figure: figure.value, _known_error)
+        [[read(figure) for figure in figures] for figures in zip(*usable, strict=True)]
+        for read in (attrgetter("value"), _error)
     )
     estimate = fit_log_log(*values, *errors)
     return estimate, estimate.fit

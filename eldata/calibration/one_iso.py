@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from operator import methodcaller
 from typing import TYPE_CHECKING, Any
@@ -14,26 +14,31 @@ import numpy as np
 from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.calibration.bias_sums import BiasPairs, BiasSums
+from eldata.calibration.bias_sums import BiasPairs, BiasSums, colour_bias, power_spectrum, row_noise
 from eldata.calibration.checks import (
-    beside_steps,
     bias_findings,
-    clipped,
     code_step,
+    find_clipping,
+    find_saturation,
+    find_uneven_steps,
     flat_findings,
     mean_step,
     read_noise_findings,
     read_noise_in_steps,
-    saturation,
-    uneven_steps,
+    take_step,
 )
-from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.findings import CLIPPED, NO_LINE, SHAPE, TRANSFER, accept_findings
+from eldata.calibration.defects import (
+    ADVISED_FRAMES,
+    MINIMUM_FRAMES,
+    BiasStack,
+    FixedPattern,
+    fixed_pattern,
+    too_few_frames,
+)
 from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
 from eldata.calibration.frames import FrameReader, FramesError, measure_frame, measure_pair, unequal_pair
 from eldata.calibration.held_out import compared_piece, reproduction
-from eldata.calibration.iso_results import IsoCalibration, IsoGain
-from eldata.calibration.lines import colour_bias, power_spectrum, row_noise
+from eldata.calibration.iso_results import CLIPPED, NO_LINE, SHAPE, TRANSFER, IsoCalibration, IsoGain, accept_findings
 from eldata.calibration.residuals import probability_plot, read_noise, single_frame_plot
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
@@ -43,8 +48,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from eldata.calibration.bias_sums import BiasStatistics, ResidualHistogram
-    from eldata.calibration.findings import Finding
     from eldata.calibration.frames import IsoFrames
+    from eldata.calibration.iso_results import Finding
     from eldata.calibration.sums import Mosaic
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, Sensor
@@ -80,17 +85,17 @@ def calibrate_iso(
         If frames differ in size, CFA or levels, or are odd; or if the estimators cannot use the bias frames, and
         there are no flats to give K. Every problem found is in it. Flats without a line are no error: K is withheld.
     """
+    start = partial(FrameReader, frames, workers, done, chosen.crop)
     with as_frames_error(frames, chosen):
         if not chosen.bias and chosen.pairs:
-            return _measure_gain(FrameReader(frames, workers, done, chosen.crop), chosen)
+            return _measure_gain(start(), chosen)
         try:
-            return _measure_all(FrameReader(frames, workers, done, chosen.crop), chosen)
+            return _measure_all(start(), chosen)
         except DatasetError as error:
             if isinstance(error, FramesError) or not chosen.pairs:
                 raise
             text = f"the bias frames cannot be used: {error}"
-            lost = SHAPE.find(math.nan, math.nan, text, "withheld", CLIPPED.figures)
-            return _measure_gain(FrameReader(frames, workers, done, chosen.crop), chosen, lost)
+            return _measure_gain(start(), chosen, SHAPE.withhold(math.nan, math.nan, text, CLIPPED.figures))
 
 
 def bias_pattern(
@@ -140,16 +145,13 @@ def _split(bias: Sequence[FrameRecord]) -> tuple[Sequence[FrameRecord], Sequence
 def _measure_all(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     fixed, estimated, held_out = _first_pass(reader, *_split(chosen.bias))
     sums, pairs = BiasSums(fixed), BiasPairs(fixed)
-    spectrum, single = None, None
-    for _, frame in reader.read(estimated):
-        if spectrum is None:
+    for record, frame in reader.read(estimated):
+        if record == estimated[0]:
             spectrum = power_spectrum(frame.mosaic, fixed)
             single = None if fixed.clips_at_black else single_frame_plot(frame.mosaic, fixed)
         in_threads(methodcaller("add", frame.mosaic), [sums, pairs], reader.workers.jobs)
         del frame
     reader.refuse()
-    if spectrum is None:
-        raise DatasetError("no bias frame could be read")
     # The flats decode while the bias frames' figures are worked out.
     sensor = reader.sensor
     work = (partial(_estimate, sums, pairs, sensor), partial(_measure_flats, reader, chosen, fixed))
@@ -157,36 +159,31 @@ def _measure_all(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     bias, rows, read = estimates["bias"], estimates["rows"], estimates["read"]
     step = math.gcd(code_step(statistics.codes), of_flats.step_dn)
     if read is None:
-        findings: tuple[Finding, ...] = (clipped(sums),)
+        findings: tuple[Finding, ...] = (find_clipping(sums),)
     else:
         step_dn = float(step) if step > 1 else mean_step(statistics.codes)
         of_fit = read_noise_findings(read, bias, rows.rows, step_dn)
         findings = accept_findings((*of_fit, *bias_findings(statistics, bias, rows, read, step_dn)), chosen.accept)
-    one = IsoCalibration(
-        iso=float(chosen.iso),
-        sensor=sensor,
-        flat_frames=of_flats.flat_frames,
-        transfer=of_flats.transfer,
-        spatial=of_flats.spatial,
+    of_gain = {each.name: getattr(of_flats, each.name) for each in fields(of_flats)}
+    of_gain |= {"findings": (*findings, *of_flats.findings), "step_dn": step}
+    record = IsoCalibration(
+        **of_gain,
         bias_frames=len(estimated),
         pattern=fixed.summary,
         spectrum_dn2=spectrum,
         single_frame=single,
-        findings=(*findings, *of_flats.findings),
-        stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
-        step_dn=step,
         stepped=None if residuals is None else read_noise_in_steps(residuals, step),
         **estimates,
     )
-    parameters = beside_steps(one).parameters
+    parameters = take_step(record).parameters
     if held_out is not None and parameters is not None:
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
-        one = replace(one, reproduction=reproduction(held_out, fixed, sensor, parameters, generator))
-    files = (reader.frames.path(record) for record in (*estimated[:1], *(pair.first for pair in chosen.pairs[:1])))
+        record = replace(record, reproduction=reproduction(held_out, fixed, sensor, parameters, generator))
+    files = map(reader.frames.path, (*estimated[:1], *(pair.first for pair in chosen.pairs[:1])))
     lossy = next(filter(None, map(lossy_compression, files)), None)
-    remarks = (*reader.remarks, *bias_remarks(one, chosen, lossy), *of_flats.remarks, *transfer_remarks(one))
-    return replace(one, remarks=remarks)
+    remarks = (*reader.remarks, *bias_remarks(record, chosen, lossy), *of_flats.remarks, *transfer_remarks(record))
+    return replace(record, remarks=remarks)
 
 
 def _estimate(
@@ -194,20 +191,20 @@ def _estimate(
 ) -> tuple[dict[str, Any], ResidualHistogram | None, BiasStatistics]:
     """Return the estimates of an ISO's record, what the read noise is of, and what the checks look at."""
     rows = row_noise(sums)
-    bias, residuals, read, plot = colour_bias(sums, rows, sensor.black_level_dn), None, None, None
-    if not sums.fixed.clips_at_black:
-        residuals = sums.residuals()
-        read = read_noise(residuals)
-        plot = probability_plot(residuals, read)
-    return {"bias": bias, "rows": rows, "read": read, "plot": plot}, residuals, pairs.statistics()
+    estimates: dict[str, Any] = {"bias": colour_bias(sums, rows, sensor.black_level_dn), "rows": rows}
+    if sums.fixed.clips_at_black:
+        return {**estimates, "read": None, "plot": None}, None, pairs.statistics()
+    residuals = sums.residuals()
+    read = read_noise(residuals)
+    return {**estimates, "read": read, "plot": probability_plot(residuals, read)}, residuals, pairs.statistics()
 
 
 def _measure_gain(reader: FrameReader, chosen: IsoFrames, *lost: Finding) -> IsoGain:
     """Measure K from flats alone."""
-    one = _measure_flats(reader, chosen, None)
+    record = _measure_flats(reader, chosen, None)
     alone = () if lost else ("there are no bias frames, so K is all that is known",)
-    remarks = (*reader.remarks, *alone, *one.remarks, *transfer_remarks(one))
-    return replace(one, remarks=remarks, findings=(*lost, *one.findings))
+    remarks = (*reader.remarks, *alone, *record.remarks, *transfer_remarks(record))
+    return replace(record, remarks=remarks, findings=(*lost, *record.findings))
 
 
 def _first_pass(
@@ -215,7 +212,7 @@ def _first_pass(
 ) -> tuple[FixedPattern, Sequence[FrameRecord], Mosaic | None]:
     """Return the fixed pattern, the frames that it is of, and the piece of the frame that is kept out."""
     if len(estimated) < MINIMUM_FRAMES:
-        raise _too_few(len(estimated))
+        raise too_few_frames(len(estimated))
     stack, kept, used = None, None, []
     for record, frame in reader.read((*estimated, *held_out)):
         reader.figures[record] = measure_frame(frame.mosaic)
@@ -228,34 +225,25 @@ def _first_pass(
             used.append(record)
         del frame  # before the next one is decoded
     reader.refuse()
-    if stack is None:
-        raise DatasetError("no bias frame could be read")
-    if len(used) < MINIMUM_FRAMES:
-        raise _too_few(len(used), reader.remarks)
+    if stack is None or len(used) < MINIMUM_FRAMES:
+        raise too_few_frames(len(used), reader.remarks)
     return fixed_pattern(stack), used, kept
-
-
-def _too_few(number: int, because: Sequence[str] = ()) -> DatasetError:
-    return DatasetError(
-        f"{counted(number, 'bias frame')}, and {MINIMUM_FRAMES} are needed, {ADVISED_FRAMES} or more advised: "
-        "take them with the lens capped, at the shortest exposure" + "".join(f"; {reason}" for reason in because)
-    )
 
 
 def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -> IsoGain:
     """Measure K; without bias frames, black is what the files record and no pixel is a defect."""
-    stated = chosen.stated_gain_dn_per_e
-
-    def record(remarks: Sequence[str], *findings: Finding, **more: Any) -> IsoGain:
-        known: dict[str, Any] = {"iso": float(chosen.iso), "sensor": reader.sensor, "stated_gain_dn_per_e": stated}
-        return IsoGain(**known, remarks=tuple(remarks), findings=findings, step_dn=step, **more)
-
-    step = 0
-    if not chosen.pairs:
-        return record(() if stated is not None else (no_pairs(chosen),))
+    stated, step = chosen.stated_gain_dn_per_e, 0
     flats: FlatPairs | None = None
     used: list[str] = []
     remarks: list[str] = []
+
+    def make_record(*findings: Finding, **more: Any) -> IsoGain:
+        known: dict[str, Any] = {"iso": float(chosen.iso), "sensor": reader.sensor, "stated_gain_dn_per_e": stated}
+        return IsoGain(**known, remarks=tuple(remarks), findings=findings, step_dn=step, **more)
+
+    if not chosen.pairs:
+        remarks += [no_pairs(chosen)] if stated is None else []
+        return make_record()
     for pair, first, second in _read_pairs(reader, chosen.pairs):
         if flats is None:
             sensor = first.sensor
@@ -264,8 +252,7 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
             floor_dn = 0 if fixed is None else fixed.floor_dn or 0
             flats = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects, floor_dn=floor_dn)
         names, levels_dn = f"{pair.first.path} and {pair.second.path}", measure_pair(first, second)
-        unequal = unequal_pair(names, levels_dn)
-        if unequal is not None:
+        if unequal := unequal_pair(names, levels_dn):
             remarks.append(unequal)
         else:
             used.append(f"{names} ({levels_dn[0]:.0f} and {levels_dn[1]:.0f} DN)")
@@ -274,25 +261,20 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
     reader.refuse()
     remarks += flat_remarks(chosen)
     if flats is None or not flats.frames:
-        return record(remarks, _no_line("no pair of flats is usable"))
+        return make_record(TRANSFER.withhold(math.nan, math.nan, "no pair of flats is usable"))
     step = code_step(flats.counts[:, : math.ceil(flats.limit_dn)])
     try:
         transfer = photon_transfer(flats)
     except DatasetError as error:
-        no_line = _no_line(f"{error}; pairs used: {', '.join(used)}")
-        return record(remarks, *saturation(flats), no_line)
-    of_line, spatial = tuple(flat_findings(transfer)), None
-    if all(one.check != NO_LINE.name for one in of_line):  # of a scene, a frame's variance is the scene's own
+        text = f"{error}; pairs used: {', '.join(used)}"
+        return make_record(*find_saturation(flats), TRANSFER.withhold(math.nan, math.nan, text))
+    of_line, spatial = flat_findings(transfer), None
+    if all(finding.check != NO_LINE.name for finding in of_line):  # of a scene, a frame's variance is the scene's own
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(flats)
-    of_values = (*saturation(flats), *uneven_steps(flats, transfer))
+    of_values = (*find_saturation(flats), *find_uneven_steps(flats, transfer))
     findings = accept_findings((*of_values, *of_line), chosen.accept)
-    return record(remarks, *findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
-
-
-def _no_line(why: str) -> Finding:
-    """Return the finding that there is no photon transfer line; the read noise is measured all the same."""
-    return TRANSFER.find(math.nan, math.nan, why, "withheld", TRANSFER.figures)
+    return make_record(*findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
 
 
 def _read_pairs(reader: FrameReader, pairs: Sequence[FlatPair]) -> Iterator[tuple[FlatPair, RawFrame, RawFrame]]:
@@ -320,12 +302,12 @@ _LEAST_PAIRS = 4
 _DISAGREEMENT = 6.0  # of K with what was stated, standard errors
 
 
-def bias_remarks(one: IsoCalibration, chosen: IsoFrames, lossy: str | None) -> tuple[str, ...]:
+def bias_remarks(record: IsoCalibration, chosen: IsoFrames, lossy: str | None) -> tuple[str, ...]:
     """Return remarks on the bias frames and the figures from them."""
-    rows, columns = one.rows.rows, one.rows.columns
-    remarks = []
-    if one.bias_frames < ADVISED_FRAMES - 1:
-        remarks.append(f"{one.bias_frames} bias frames were used; {ADVISED_FRAMES} or more are advised")
+    rows, columns, pattern, compared = record.rows.rows, record.rows.columns, record.pattern, record.reproduction
+    remarks, has_rows = [], "row noise" not in record.withheld
+    if record.bias_frames < ADVISED_FRAMES - 1:
+        remarks.append(f"{record.bias_frames} bias frames were used; {ADVISED_FRAMES} or more are advised")
     if chosen.bias_exposure_s is not None and chosen.bias_exposure_s > _LONGEST_BIAS_S:
         remarks.append(
             f"the bias frames were exposed for {float(chosen.bias_exposure_s):g} s, so dark current is in them; take "
@@ -333,37 +315,33 @@ def bias_remarks(one: IsoCalibration, chosen: IsoFrames, lossy: str | None) -> t
         )
     if lossy is not None:
         remarks.append(f"the files have {lossy}, which changes noise: no figure here is the sensor's own")
-    if "row noise" in one.withheld:
-        pass
-    elif rows.sigma_dn == 0:
+    if has_rows and rows.sigma_dn == 0:
         remarks.append(f"no row noise was seen; {rows.sigma_error_dn:.2g} DN would just have been visible")
-    elif rows.shapiro_p < 1e-3 and abs(rows.excess_kurtosis) > 0.5:
+    elif has_rows and rows.shapiro_p < 1e-3 and abs(rows.excess_kurtosis) > 0.5:
         remarks.append(
             f"the row noise is not normal (Shapiro-Wilk p = {rows.shapiro_p:.1g}, excess kurtosis "
             f"{rows.excess_kurtosis:.1f}); the model takes it for normal"
         )
     of_columns = columns.variance_dn2 > 5 * columns.variance_error_dn2 and columns.sigma_dn > 0.3 * rows.sigma_dn
-    if of_columns and "row noise" not in one.withheld:
+    if has_rows and of_columns:
         remarks.append(
             f"columns have noise of their own, {columns.sigma_dn:.2g} DN, which the model leaves out and the read "
             "noise contains"
         )
-    error = max(one.bias.standard_error_dn)
-    if one.bias.drifts and error > _DRIFT_DN:
+    error = max(record.bias.standard_error_dn)
+    if record.bias.drifts and error > _DRIFT_DN:
         remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {error:.2g} DN")
-    of_defects = max(one.bias.of_defects_dn, key=abs)
-    if abs(of_defects) > max(2 * error, _OF_DEFECTS_DN) and "colour bias" not in one.withheld:
+    of_defects = max(record.bias.of_defects_dn, key=abs)
+    if abs(of_defects) > max(2 * error, _OF_DEFECTS_DN) and "colour bias" not in record.withheld:
         remarks.append(
-            f"the colour bias is the mean of all pixels, as in the paper: {one.pattern.defects} defects make "
+            f"the colour bias is the mean of all pixels, as in the paper: {pattern.defects} defects make "
             f"{of_defects:.2g} DN of it"
         )
-    if one.pattern.defects > 0.01 * one.pattern.pixels:
+    if pattern.defects > 0.01 * pattern.pixels:
         remarks.append(
-            f"{one.pattern.defects / one.pattern.pixels:.1%} of the pixels were left out: "
-            f"{one.pattern.stuck / one.pattern.pixels:.1%} never change, "
-            f"{one.pattern.off_level / one.pattern.pixels:.1%} are off the level of those around them"
+            f"{pattern.defects / pattern.pixels:.1%} of the pixels were left out: {pattern.stuck / pattern.pixels:.1%} "
+            f"never change, {pattern.off_level / pattern.pixels:.1%} are off the level of those around them"
         )
-    compared = one.reproduction
     if compared is not None and compared.histogram_distance > max(4 * compared.histogram_distance_by_chance, 0.02):
         remarks.append(
             f"a bias frame kept out differs from simulated ones by {compared.histogram_distance:.1%} of its histogram "
@@ -374,12 +352,11 @@ def bias_remarks(one: IsoCalibration, chosen: IsoFrames, lossy: str | None) -> t
 
 def no_pairs(chosen: IsoFrames) -> str:
     """Return the remark on an ISO whose K is not known."""
-    what = (
-        "no flat frames"
-        if not chosen.single
-        else f"{counted(len(chosen.single), 'flat frame')} and no two of one exposure"
+    single = f"{counted(len(chosen.single), 'flat frame')} and no two of one exposure"
+    return (
+        f"{single if chosen.single else 'no flat frames'}, so K is not known: this ISO does not take part in the fits; "
+        "take flats in pairs of equal exposure"
     )
-    return f"{what}, so K is not known: this ISO does not take part in the fits; take flats in pairs of equal exposure"
 
 
 def flat_remarks(chosen: IsoFrames) -> tuple[str, ...]:
@@ -396,14 +373,14 @@ def flat_remarks(chosen: IsoFrames) -> tuple[str, ...]:
     return tuple(remarks)
 
 
-def transfer_remarks(one: IsoGain) -> tuple[str, ...]:
+def transfer_remarks(record: IsoGain) -> tuple[str, ...]:
     """Return remarks on K, measured and stated."""
-    transfer, sensor, remarks = one.transfer, one.sensor, list[str]()
-    stated = one.stated_gain_dn_per_e
-    if one.gain is not None and stated is not None:
-        if one.gain.is_stated:
+    transfer, sensor, gain, stated = record.transfer, record.sensor, record.gain, record.stated_gain_dn_per_e
+    remarks = []
+    if gain is not None and stated is not None:
+        if gain.is_stated:
             remarks.append(f"K is stated, not measured: {stated:g} DN/e-")
-        elif abs(stated - one.gain.value) > _DISAGREEMENT * one.gain.error:
+        elif abs(stated - gain.value) > _DISAGREEMENT * gain.error:
             remarks.append(f"K is measured here, and the stated {stated:g} DN/e- does not count")
     if transfer is None:
         return tuple(remarks)

@@ -177,10 +177,9 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     errors = np.sqrt(np.maximum(np.diag(fit.covariance), np.diag(fit.information) / dependence))
 
     # What the same probability plot says of the fitted model, whose truth is known.
-    expected = _expected(histogram, model, fit)
-    model_lambda, model_sigma, _ = ppcc(values, expected * number)
-    best, _ = correlation(values[inner > 0], inner[inner > 0].astype(np.float64), plain_lambda)
-    normal, _ = normal_correlation(values[inner > 0], inner[inner > 0].astype(np.float64))
+    model_lambda, model_sigma, _ = ppcc(values, _expect_cells(histogram, model, fit) * number)
+    filled = values[inner > 0], inner[inner > 0].astype(np.float64)
+    best, normal = correlation(*filled, plain_lambda)[0], normal_correlation(*filled)[0]
     gauss, gauss_error = _standard_deviation(histogram, model, fit)
     chi2, freedom = fit.chi2_per_dof()
     # The mean of n frames blurs the wave of the levels. Where it leaves nothing, how alike they are is not known.
@@ -268,17 +267,15 @@ def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:
     curve = np.array([correlation(values, weights, float(shape))[0] for shape in shapes])
     best = int(curve.argmax())
     around = (float(shapes[max(best - 1, 0)]), float(shapes[min(best + 1, 40)]) + (best == 40) * 1.4)
-    highest = minimize_scalar(
-        lambda shape: -correlation(values, weights, float(shape))[0],
-        bounds=around,
-        method="bounded",
-        options={"xatol": 1e-6},
-    )
-    shape = float(highest.x)
+
+    def lack(shape: float) -> float:
+        return -correlation(values, weights, float(shape))[0]
+
+    shape = float(minimize_scalar(lack, bounds=around, method="bounded", options={"xatol": 1e-6}).x)
     return shape, correlation(values, weights, shape)[1], np.stack([shapes, curve])
 
 
-def _expected(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualFit) -> Values:
+def _expect_cells(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualFit) -> Values:
     """Return the probability of each inner cell of the histogram."""
     both = histogram.folded.sum(axis=0)
     half = histogram.counts.shape[1] // 2
@@ -319,18 +316,14 @@ def _standard_deviation(histogram: ResidualHistogram, model: ResidualModel, fit:
         return 2 * (edge**2 * float(tails[0]) + 2 * float(np.trapezoid(points**2 * tails, np.log(points))))
 
     step = 1e-3
-    slope = np.array(
-        [
-            (beyond(fit.shape + step, fit.scale) - beyond(fit.shape - step, fit.scale)) / (2 * step),
-            (beyond(fit.shape, fit.scale * (1 + step)) - beyond(fit.shape, fit.scale * (1 - step))) / (2 * step),
-        ]
-    )
+    of_shape = beyond(fit.shape + step, fit.scale) - beyond(fit.shape - step, fit.scale)
+    of_scale = beyond(fit.shape, fit.scale * (1 + step)) - beyond(fit.shape, fit.scale * (1 - step))
+    slope = np.array([of_shape, of_scale]) / (2 * step)
     mean = float(squares.sum()) / number + beyond(fit.shape, fit.scale)
     by_rounding = histogram.rounding_dn**2 / 12
     sigma = math.sqrt(max(mean / model.own - by_rounding, 0.0))  # 1/own undoes what the means took
     by_group = _subtract_share(squares, numbers) / number + fit.influence @ slope
-    groups = len(by_group)
-    if groups < 2 or sigma == 0:
+    if (groups := len(by_group)) < 2 or sigma == 0:
         return sigma, math.nan
     error = math.sqrt(float(by_group @ by_group) * groups / (groups - 1)) / model.own
     return sigma, error / (2 * sigma)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from eldata.base.numbers import counted
 from eldata.base.tables import block, table, text_table, with_error
 from eldata.base.visible import in_line
-from eldata.calibration.findings import list_symbols
-from eldata.calibration.iso_results import SCALES, usual_gain_per_iso
+from eldata.calibration.iso_results import SCALES, list_symbols
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -18,8 +20,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from eldata.calibration.findings import Quantity
-    from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
+    from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain, Quantities, Quantity
     from eldata.calibration.joint import FittedMode, LogLogEstimate
     from eldata.manifest.verify_report import Problem
     from eldata.noise.profile import CameraProfile, GainMode
@@ -90,22 +91,21 @@ class Calibration:
     @property
     def all_isos(self) -> tuple[IsoGain, ...]:
         """The ISOs that have bias frames and those that have flats alone, ascending."""
-        return tuple(sorted((*self.isos, *self.gains), key=lambda one: one.iso))
+        return tuple(sorted((*self.isos, *self.gains), key=lambda record: record.iso))
 
     @property
     def accepted(self) -> tuple[str, ...]:
         """The figures that a check would withhold and somebody has accepted, by check, with their ISOs."""
         isos: dict[str, list[str]] = {}
-        for one in self.all_isos:
-            for finding in one.findings:
-                if finding.is_accepted:
-                    isos.setdefault(f"{finding.check}: {list_symbols(finding.figures)}", []).append(f"{one.iso:g}")
-        return tuple(f"{what} at ISO {', '.join(places)}" for what, places in isos.items())
+        for record in self.all_isos:
+            for finding in filter(attrgetter("is_accepted"), record.findings):
+                isos.setdefault(f"{finding.check}: {list_symbols(finding.figures)}", []).append(f"{record.iso:g}")
+        return tuple(f"{figures} at ISO {', '.join(places)}" for figures, places in isos.items())
 
     @property
     def problems(self) -> tuple[Problem, ...]:
         """What is wrong with the frames of the ISOs that are left out."""
-        return tuple(problem for one in self.failed for problem in one.problems)
+        return tuple(problem for failed in self.failed for problem in failed.problems)
 
     @property
     def profile(self) -> CameraProfile:
@@ -123,12 +123,13 @@ class Calibration:
     @property
     def usual_gain_per_iso(self) -> float:
         """The median of K / ISO; nan if no gain is known."""
-        return usual_gain_per_iso(self.all_isos)
+        ratios = [record.gain_dn_per_e / record.iso for record in self.all_isos if record.gain_dn_per_e is not None]
+        return float(np.median(ratios)) if ratios else math.nan
 
     @property
     def all_remarks(self) -> tuple[str, ...]:
         """Every remark, those of one ISO with its ISO in front."""
-        of_isos = (f"ISO {one.iso:g}: {remark}" for one in self.all_isos for remark in one.all_remarks)
+        of_isos = (f"ISO {record.iso:g}: {remark}" for record in self.all_isos for remark in record.all_remarks)
         return (*of_isos, *self.remarks)
 
     # --- as tables, text and JSON ---
@@ -143,45 +144,37 @@ class Calibration:
         from eldata.calibration.held_out import HEADINGS
 
         gain = "K [DN/e-]"
-        labels = [self.isos[0].figures[name].heading for name in _COLUMNS] if self.isos else ()
-        channels = self.isos[0].channels if self.isos else ()
-        figures: list[tuple[str, ...]] = [
-            (
-                f"{one.iso:g}",
-                str(one.bias_frames) + (" + 1" if one.reproduction is not None else ""),
-                str(one.flat_frames),
-                one.gain_text,
-                *(one.figures[name].text for name in _COLUMNS),
-                str(one.pattern.defects),
-            )
-            for one in self.isos
-        ]
-        gains: list[tuple[str, ...]] = [(f"{one.iso:g}", str(one.flat_frames), one.gain_text) for one in self.gains]
-        colour_bias: list[tuple[str, ...]] = []
-        for one in self.isos:
-            texts = ["withheld"] * len(channels) if one.colour_bias is None else [each.text for each in one.colour_bias]
-            colour_bias.append((f"{one.iso:g}", *texts, f"{max(one.pattern.dsnu_dn):.2f}"))
-        fits: list[tuple[str, ...]] = [
-            (
-                f"{label}, {one.mode}" if len(self.modes) > 1 else label,
-                with_error(estimate.fit.slope, estimate.slope_error),
-                with_error(estimate.fit.intercept, estimate.intercept_error),
-                with_error(estimate.fit.sigma, estimate.sigma_error),
-                f"{estimate.r_squared:.4f}",
-            )
-            for one in self.modes
-            for scale, label in SCALES.items()
-            if (estimate := one.estimates[scale]) is not None
-        ]
-        kept = [(f"{one.iso:g}", *one.reproduction.cells()) for one in self.isos if one.reproduction is not None]
+        headings: list[str] = []
+        channels: tuple[str, ...] = ()
+        figures, gains, colour_bias, fits, kept = (list[tuple[str, ...]]() for _ in range(5))
+        for record in self.isos:
+            iso, flats, channels = f"{record.iso:g}", str(record.flat_frames), record.channels
+            columns = [record.figures[name] for name in _COLUMNS]
+            headings = [figure.heading for figure in columns]
+            bias_frames = str(record.bias_frames) + ("" if record.reproduction is None else " + 1")
+            texts = (figure.text for figure in columns)
+            figures.append((iso, bias_frames, flats, record.gain_text, *texts, str(record.pattern.defects)))
+            texts = (figure.text for figure in record.colour_bias or ())
+            withheld = ("withheld",) * (len(channels) if record.colour_bias is None else 0)
+            colour_bias.append((iso, *texts, *withheld, f"{max(record.pattern.dsnu_dn):.2f}"))
+            if record.reproduction is not None:
+                kept.append((iso, *record.reproduction.cells()))
+        gains += [(f"{record.iso:g}", str(record.flat_frames), record.gain_text) for record in self.gains]
+        for fitted in self.modes:
+            for scale, label in SCALES.items():
+                if (line := fitted.estimates[scale]) is not None:
+                    values = (line.fit.slope, line.fit.intercept, line.fit.sigma)
+                    errors = (line.slope_error, line.intercept_error, line.sigma_error)
+                    name = f"{label}, {fitted.mode}" if len(self.modes) > 1 else label
+                    fits.append((name, *map(with_error, values, errors), f"{line.r_squared:.4f}"))
         tables: dict[str, Table] = {
-            "figures": (("ISO", "bias", "flat", gain, *labels, "defects"), figures),
+            "figures": (("ISO", "bias", "flat", gain, *headings, "defects"), figures),
             "gains": (("ISO", "flat", gain), gains),
             "colour-bias": (("ISO", *channels, "DSNU"), colour_bias),
             "fits": (("fit over ln K", "slope", "intercept", "sigma", "R2"), fits),
             "reproduction": (("ISO", *HEADINGS), kept),
         }
-        return {name: (header, rows) for name, (header, rows) in tables.items() if rows}
+        return {name: table for name, table in tables.items() if table[1]}
 
     def format_text(self) -> str:
         """Return the measured figures as aligned tables, the fits, and the remarks."""
@@ -197,13 +190,13 @@ class Calibration:
         if self.no_profile:
             parts.append(f"no profile can be made: {self.no_profile}")
         if self.accepted:
-            parts.append("accepted, with larger errors\n" + "\n".join(f"  {one}" for one in self.accepted))
+            parts.append("accepted, with larger errors\n" + "\n".join(f"  {figures}" for figures in self.accepted))
         if self.all_remarks:
             parts.append("remarks\n" + "\n".join(f"  {remark}" for remark in self.all_remarks))
         return "\n\n".join(parts)
 
     def __repr__(self) -> str:
-        isos = ", ".join(f"{one.iso:g}" for one in self.all_isos)
+        isos = ", ".join(f"{record.iso:g}" for record in self.all_isos)
         profile = "with a profile" if self.made_profile is not None else "no profile"
         remarks = counted(len(self.all_remarks), "remark")
         return f"Calibration({in_line(self.camera)!r}, ISO {isos or 'none'}; {profile}, {remarks})"
@@ -220,12 +213,12 @@ class Calibration:
         fits = {f"{name}_fit": getattr(self, f"{name}_fit") for name in ("tukey_lambda", "gauss", "row")}
         return {
             "camera": self.camera,
-            "isos": [one.as_dict() for one in self.isos],
-            "gains": [one.as_dict() for one in self.gains],
-            "failed_isos": [one.iso for one in self.failed],
+            "isos": [record.as_dict() for record in self.isos],
+            "gains": [record.as_dict() for record in self.gains],
+            "failed_isos": [failed.iso for failed in self.failed],
             "problems": [asdict(problem) for problem in self.problems],
             "fits": {name: None if estimate is None else asdict(estimate) for name, estimate in fits.items()},
-            "modes": [asdict(one) for one in self.modes] if len(self.modes) > 1 else [],
+            "modes": [asdict(fitted) for fitted in self.modes] if len(self.modes) > 1 else [],
             "profile": None if self.made_profile is None else self.made_profile.as_dict(),
             "no_profile": self.no_profile or None,
             "accepted": list(self.accepted),
@@ -237,19 +230,15 @@ class Calibration:
     @property
     def scale_panels(self) -> tuple[ScalePanel, ...]:
         """The scales over K that can be drawn: of the read noise by either model, and of the row noise."""
-        quantities: tuple[Quantity, ...] = ("shape", "read noise", "row noise")
+        quantities: Quantities = ("shape", "read noise", "row noise")
         panels = []
         for (scale, label), quantity in zip(SCALES.items(), quantities, strict=True):
-            known = ((one.gain_dn_per_e, one.figures[scale]) for one in self.isos)
-            points = tuple(
-                (gain, figure.value, figure.error)
-                for gain, figure in known
-                if gain is not None and 0 < figure.value < math.inf
-            )
-            lines = ((one.mode, one.estimates[scale]) for one in self.modes)
+            known = ((record.gain.value, record.figures[scale]) for record in self.isos if record.gain is not None)
+            points = tuple((gain, figure.value, figure.error) for gain, figure in known if 0 < figure.value < math.inf)
+            lines = ((fitted.mode, fitted.estimates[scale]) for fitted in self.modes)
             if points:
-                drawn = tuple((mode, line) for mode, line in lines if line is not None)
-                panels.append(ScalePanel(label.removeprefix("sigma_"), quantity, drawn, points))
+                known_lines = tuple((mode, line) for mode, line in lines if line is not None)
+                panels.append(ScalePanel(label.removeprefix("sigma_"), quantity, known_lines, points))
         return tuple(panels)
 
     def plot(self, iso: float | None = None) -> Drawing:
@@ -270,48 +259,41 @@ class Calibration:
         ArgumentError
             If there is no photon transfer at the ISO, or nothing to draw at all.
         """
-        from eldata.plots.axes import (
-            bar,
-            drawn_grid,
-            gain_over_iso,
-            iso_axis,
-            nothing_to_draw,
-            scale_over_gain,
-            transfer_lines,
-        )
+        from eldata.plots import axes as plots
 
-        transfers = {one.iso: (one.channels, one.transfer) for one in self.all_isos if one.transfer is not None}
+        transfers = {r.iso: (r.channels, r.transfer.channels) for r in self.all_isos if r.transfer is not None}
         known = sorted(transfers)
         if iso is not None and iso not in transfers:
-            listed = ", ".join(f"{one:g}" for one in known) or "none"
+            listed = ", ".join(f"{other:g}" for other in known) or "none"
             raise ArgumentError(f"no photon transfer was measured at ISO {iso:g}; ISOs with one: {listed}")
         draws: list[tuple[str, Callable[[Axes, Theme], object]]] = []
         if known:
             chosen = known[len(known) // 2] if iso is None else iso
-            names, transfer = transfers[chosen]
 
             def draw_transfer(axes: Axes, theme: Theme) -> None:
-                transfer_lines(axes, None, names, transfer.channels, theme)
+                plots.transfer_lines(axes, None, *transfers[chosen], theme)
                 axes.set_xlabel("signal [DN]")
 
             draws.append((f"photon transfer, ISO {chosen:g}", draw_transfer))
-        if gains := {one.iso: one.gain for one in self.all_isos if one.gain is not None}:
-            values, errors = [gain.value for gain in gains.values()], [bar(gain.error) for gain in gains.values()]
+        if gains := {record.iso: record.gain for record in self.all_isos if record.gain is not None}:
+            values, errors = [gain.value for gain in gains.values()], [plots.bar(gain.error) for gain in gains.values()]
 
             def draw_gains(axes: Axes, theme: Theme) -> None:
-                gain_over_iso(axes, list(gains), values, errors, self.usual_gain_per_iso, theme)
-                iso_axis(axes, list(gains))
+                plots.gain_over_iso(axes, list(gains), values, errors, self.usual_gain_per_iso, theme)
+                plots.iso_axis(axes, list(gains))
 
             draws.append(("system gain", draw_gains))
         for panel in self.scale_panels:
 
             def draw_scales(axes: Axes, theme: Theme, panel: ScalePanel = panel) -> None:
-                scale_over_gain(axes, panel.name, panel.spans, panel.points, theme)
+                plots.scale_over_gain(axes, panel.name, panel.spans, panel.points, theme)
 
             draws.append(("row noise" if panel.name == "row" else f"read noise, {panel.name}", draw_scales))
         if not draws:
-            raise nothing_to_draw(f"the calibration of {self.camera}", "no ISO has flats or both K and bias frames")
-        return drawn_grid(f"Calibration of {self.camera}", draws)
+            raise plots.nothing_to_draw(
+                f"the calibration of {self.camera}", "no ISO has flats or both K and bias frames"
+            )
+        return plots.drawn_grid(f"Calibration of {self.camera}", draws)
 
 
 @dataclass(frozen=True, slots=True)

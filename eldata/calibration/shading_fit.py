@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from eldata.base.numbers import counted
 from eldata.base.workers import Workers
 from eldata.calibration.frames import sort_frames
 from eldata.calibration.one_iso import bias_pattern
-from eldata.calibration.sums import sites
+from eldata.calibration.sums import by_pixel, sites
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.dark_shading import DarkShading, ShadingIso
 
@@ -48,7 +49,7 @@ class _Lines:
     middle: float = 0.0
     lever: float = 0.0
 
-    def gains(self, iso: float, weight: float) -> tuple[float, float]:
+    def add_iso(self, iso: float, weight: float) -> tuple[float, float]:
         """Take the ISO into account, and return by how much of the distance from the line slope and offset move."""
         self.weight += weight
         before = iso - self.middle
@@ -112,7 +113,7 @@ class ShadingFit:
             )
         self._hot |= fixed.defects
         variance = max(float(np.mean(fixed.temporal_variance_dn2)), _LEAST_VARIANCE_DN2)
-        one = ShadingIso(
+        shading_iso = ShadingIso(
             iso=iso,
             mode=sum(start <= iso for start in self._starts),
             frames=fixed.frames,
@@ -120,11 +121,11 @@ class ShadingFit:
             level_error_dn=tuple(np.subtract(fixed.level_dn, black_level_dn).tolist()),  # over black: the line is later
             standard_error_dn=tuple(map(float, standard_error_dn)),
         )
-        self._isos.append(one)
-        if one.mode not in self._lines:
-            self._lines[one.mode] = _Lines(*np.zeros((2, *self._hot.shape), np.float32))
-        lines = self._lines[one.mode]
-        of_slope, of_offset = lines.gains(iso, one.weight)
+        self._isos.append(shading_iso)
+        if shading_iso.mode not in self._lines:
+            self._lines[shading_iso.mode] = _Lines(*np.zeros((2, *self._hot.shape), np.float32))
+        lines = self._lines[shading_iso.mode]
+        of_slope, of_offset = lines.add_iso(iso, shading_iso.weight)
         for rows, values in _over_black(fixed, black_level_dn):
             slope, offset = lines.slope[rows], lines.offset[rows]
             off = values - (slope * iso + offset)
@@ -143,9 +144,8 @@ class ShadingFit:
             raise DatasetError(f"{camera}: no ISO gives a dark shading: {'; '.join(notes) or 'there are none'}")
         isos: list[ShadingIso] = []
         fields = []
-        present = sorted(self._lines)  # a mode that no ISO lies in has no line
-        for number, mode in enumerate(present):
-            isos += _over_their_line([one for one in self._isos if one.mode == mode], number)
+        for number, mode in enumerate(sorted(self._lines)):  # a mode that no ISO lies in has no line
+            isos += _subtract_line([record for record in self._isos if record.mode == mode], number)
             lines = self._lines.pop(mode)
             for values in (lines.slope, lines.offset):
                 _calm(values, self._hot, self._pattern)
@@ -168,28 +168,25 @@ class ShadingFit:
 
 def _over_black(fixed: FixedPattern, black_level_dn: Sequence[float]) -> Iterator[tuple[slice, Values]]:
     """Yield the mean frame over the black level, some rows at a time."""
-    black = np.asarray(black_level_dn, np.float64)[fixed.pattern]
-    height, width = fixed.defects.shape
-    step = _ROWS * len(black)
-    whole = np.tile(black, (_ROWS, -(-width // len(black))))[:, :width]
-    for top in range(0, height, step):
+    step = _ROWS * len(fixed.pattern)
+    for top in range(0, len(fixed.total_dn), step):
         rows = slice(top, top + step)
-        off = fixed.total_dn[rows] / fixed.frames
-        off -= whole[: len(off)]
-        yield rows, off
+        level = fixed.total_dn[rows] / fixed.frames
+        yield rows, level - by_pixel(np.asarray(black_level_dn, np.float64), fixed.pattern, level.shape)
 
 
-def _over_their_line(isos: Sequence[ShadingIso], mode: int) -> Iterator[ShadingIso]:
+def _subtract_line(isos: Sequence[ShadingIso], mode: int) -> Iterator[ShadingIso]:
     """Yield the ISOs of a mode, ascending, with what their levels keep from the line through them."""
-    ordered = sorted(isos, key=lambda one: one.iso)
-    weights, speeds = np.array([one.weight for one in ordered]), np.array([one.iso for one in ordered])
-    levels = np.array([one.level_error_dn for one in ordered])
+    ordered = sorted(isos, key=attrgetter("iso"))
+    weights, speeds, levels = (
+        np.array([getattr(record, name) for record in ordered]) for name in ("weight", "iso", "level_error_dn")
+    )
     centred = speeds - weights @ speeds / weights.sum()
     rest = levels - weights @ levels / weights.sum()
     if len(ordered) > 1:
         rest -= np.outer(centred, (weights * centred) @ levels / (weights @ centred**2))
-    for one, over in zip(ordered, rest, strict=True):
-        yield replace(one, mode=mode, level_error_dn=tuple(over.tolist()))
+    for record, over in zip(ordered, rest, strict=True):
+        yield replace(record, mode=mode, level_error_dn=tuple(over.tolist()))
 
 
 def _calm(values: Plane, hot: Mask, pattern: Counts) -> None:
@@ -253,40 +250,40 @@ def dark_shading(
     >>> dark_shading(frames, calibrate(frames)).save("mycamera.npz")  # doctest: +SKIP
     """
     threads = Workers(Workers.of(workers).jobs)
-    limits = [one.mode.iso_range for one in calibration.modes if one.mode.iso_range is not None]
+    limits = [lines.mode.iso_range for lines in calibration.modes if lines.mode.iso_range is not None]
     starts = [low for low, _ in limits[1:]] if modes is None else list(modes)
     notes = []
     if modes is None and not calibration.modes and len(calibration.isos) > 1:
         notes.append("K is not known, so a switch of the conversion gain would not be seen: all ISOs share one line")
     usable: list[IsoCalibration] = []
-    for one in calibration.isos:
-        between = any(above < one.iso < start for (_, above), start in zip(limits, starts, strict=False))
+    for record in calibration.isos:
+        between = any(above < record.iso < start for (_, above), start in zip(limits, starts, strict=False))
         # An error that is accepted is none that a shading could have: it would hold the light itself.
-        of_level = [finding for finding in one.findings if "colour bias" in finding.figures]
-        lit = [finding.text for finding in of_level if finding.effect == "withheld" or finding.is_accepted]
-        if lit:
-            notes.append(f"ISO {one.iso:g} was left out: {'; '.join(lit)}")
-        elif modes is None and between:
-            notes.append(f"ISO {one.iso:g} was left out: it lies between two gain modes, and no K tells of which it is")
+        of_level = [finding for finding in record.findings if "colour bias" in finding.figures]
+        why = "; ".join(finding.text for finding in of_level if finding.effect == "withheld" or finding.is_accepted)
+        if not why and modes is None and between:
+            why = "it lies between two gain modes, and no K tells of which it is"
+        if why:
+            notes.append(f"ISO {record.iso:g} was left out: {why}")
         else:
-            usable.append(one)
-    chosen = {float(one.iso): one for one in sort_frames(frames, threads)}
+            usable.append(record)
+    chosen = {float(of_iso.iso): of_iso for of_iso in sort_frames(frames, threads)}
     fit = ShadingFit(starts)
-    used = isos = 0
+    used: list[int] = []
     models: dict[str, float] = {}
-    total = sum(len(chosen[one.iso].bias) for one in usable)
+    total = sum(len(chosen[record.iso].bias) for record in usable)
     with tqdm(total=total, desc=f"dark shading {frames.camera}", unit="frame", disable=None, leave=False) as bar:
-        for one in usable:
-            sensor, fixed = bias_pattern(frames, chosen[one.iso], threads, done=bar.update)
+        for record in usable:
+            sensor, fixed = bias_pattern(frames, chosen[record.iso], threads, done=bar.update)
             if fixed.clips_at_black:
-                notes.append(f"ISO {one.iso:g} was left out: black is clipped, so the mean of a pixel is not its level")
+                why = "black is clipped, so the mean of a pixel is not its level"
+                notes.append(f"ISO {record.iso:g} was left out: {why}")
                 continue
-            fit.add(one.iso, fixed, sensor.black_level_dn, one.bias.standard_error_dn)
-            models.setdefault(sensor.model, one.iso)
-            used += fixed.frames
-            isos += 1
+            fit.add(record.iso, fixed, sensor.black_level_dn, record.bias.standard_error_dn)
+            models.setdefault(sensor.model, record.iso)
+            used.append(fixed.frames)
     if len(models) > 1:
         listed = ", ".join(f"those of ISO {iso:g} of a {model}" for model, iso in models.items())
         raise DatasetError(f"{frames.camera}: the bias frames are of several cameras, {listed}; a shading is of one")
-    source = f"eldata {__version__} calibrate: {used} bias frames at {counted(isos, 'ISO')}"
+    source = f"eldata {__version__} calibrate: {sum(used)} bias frames at {counted(len(used), 'ISO')}"
     return fit.shading(calibration.camera, source, notes, next(iter(models), ""))

@@ -48,8 +48,7 @@ def sites(pattern: Counts) -> list[tuple[Site, int]]:
 def by_pixel(values: NDArray[Any], pattern: Counts, shape: tuple[int, ...]) -> NDArray[Any]:
     """Return an array of that shape in which each pixel has its channel's entry of ``values``."""
     repeats = -(-shape[0] // len(pattern)), -(-shape[1] // len(pattern))
-    plane: NDArray[Any] = np.tile(values[pattern], repeats)[: shape[0], : shape[1]]
-    return plane
+    return np.asarray(np.tile(values[pattern], repeats)[: shape[0], : shape[1]])
 
 
 def checked_mosaic(mosaic: NDArray[Any], shape: tuple[int, int] | None, period: int) -> Mosaic:
@@ -134,15 +133,9 @@ def channel_histograms(mosaic: Mosaic, defects: Mask, pattern: Counts, counts: C
 
 @kernel
 def residual_sums(
-    mosaic: Mosaic,
-    total: NDArray[np.uint32],
-    defects: Mask,
-    frames: int,
-    pattern: Counts,
-    row_sums: Counts,
-    row_squares: Counts,
-    column_sums: Counts,
-) -> None:
+    mosaic: Mosaic, total: NDArray[np.uint32], defects: Mask, frames: int, pattern: Counts,
+    row_sums: Counts, row_squares: Counts, column_sums: Counts,
+) -> None:  # fmt: skip
     """Add the residuals by (row, channel) and by (column, channel), and their squares by row."""
     period = pattern.shape[0]
     for row in range(mosaic.shape[0]):
@@ -184,16 +177,9 @@ def residual_histogram(
 
 @kernel
 def segment_sums(
-    first: Mosaic,
-    second: Mosaic,
-    defects: Mask,
-    pattern: Counts,
-    channel: int,
-    floor: int,
-    limit: float,
-    size: int,
-    sums: Counts,
-) -> None:
+    first: Mosaic, second: Mosaic, defects: Mask, pattern: Counts, channel: int,
+    floor: int, limit: float, size: int, sums: Counts,
+) -> None:  # fmt: skip
     """Add up the sound pixels a and b of two flats, of a channel, by segments of so many columns of a row.
 
     ``sums`` (13, rows, segments) gets how many pixels there are, and of these clipped; sums of a, b, a^2, b^2, a b; and
@@ -245,11 +231,9 @@ def standardise(
     """
     period = pattern.shape[0]
     height, width = first.shape
-    sums = np.zeros(scale.size, dtype=np.int64)
-    counts = np.zeros(scale.size, dtype=np.int64)
+    sums, counts = np.zeros((2, scale.size), dtype=np.int64)
     values = np.zeros(width, dtype=np.int64)
-    means = np.zeros(width, dtype=np.float32)
-    factors = np.zeros(width, dtype=np.float32)
+    means, factors = np.zeros((2, width), dtype=np.float32)
     edge, half = np.float32(limit), np.float32(0.5)
     for row in range(height):
         sums[:] = 0
@@ -270,9 +254,7 @@ def standardise(
             means[phase::period] = sums[channel] / max(counts[channel], 1)
             factors[phase::period] = scale[channel]
         for column in range(width):
-            scaled = (np.float32(values[column]) - means[column]) * factors[column]
-            scaled = min(scaled, edge)
-            scaled = max(scaled, -edge)
+            scaled = max(min((np.float32(values[column]) - means[column]) * factors[column], edge), -edge)
             out[row, column] = np.int16(0) if defects[row, column] else np.int16(np.floor(scaled + half))
 
 

@@ -47,8 +47,7 @@ def tukey_lambda_tail(x: Any, shape: float) -> Any:
     """
     if x < 0.0:
         return 1.0 - tukey_lambda_tail(-x, shape)
-    flat = abs(shape) < 1e-9
-    if flat:
+    if abs(shape) < 1e-9:
         return 1.0 / (1.0 + np.exp(x))
     if shape * x >= 1.0:
         return 0.0
@@ -71,8 +70,7 @@ def tukey_lambda_quantile(levels: Values, shape: float, above: Values | None = N
     """Return quantiles ``(u^l - v^l) / l`` of scale 1, v = 1 - u, and their limit ``ln(u / v)`` at l = 0."""
     from scipy.special import boxcox
 
-    quantiles: Values = boxcox(levels, shape) - boxcox(1 - levels if above is None else above, shape)
-    return quantiles
+    return np.asarray(boxcox(levels, shape) - boxcox(1 - levels if above is None else above, shape))
 
 
 @kernel
@@ -90,8 +88,7 @@ def _look_up(logs: PchipInterpolator, unit: float, edges: Values, others: Nodes)
     values, chances = others
     away = np.subtract.outer(edges, values) / unit
     beyond = np.exp(logs(np.minimum(np.arcsinh(np.abs(away)), _TABLE[-1])))
-    tails: Values = np.where(away < 0, 1 - beyond, beyond) @ chances
-    return tails
+    return np.asarray(np.where(away < 0, 1 - beyond, beyond) @ chances)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,10 +189,10 @@ class ResidualModel:
         frequency = 2 * math.pi * np.fft.rfftfreq(_SIZE, width)
         transform = np.fft.rfft(cells).real ** (self.frames - 1) * np.exp(-0.5 * max(of_row, 0.0) * frequency**2)
         density = np.maximum(np.fft.fftshift(np.fft.irfft(transform, _SIZE)), 0.0)
-        return _compressed((np.arange(_SIZE) - _SIZE // 2) * width, density, math.sqrt(variance))
+        return _compress((np.arange(_SIZE) - _SIZE // 2) * width, density, math.sqrt(variance))
 
 
-def _compressed(values: Values, weights: Values, spread: float) -> tuple[Values, Values]:
+def _compress(values: Values, weights: Values, spread: float) -> tuple[Values, Values]:
     """Replace a distribution by two nodes for each of some intervals, of the same mean and variance."""
     core = np.arange(-6.0, 6.01, 0.75)
     far = 6.0 * 1.35 ** np.arange(1.0, 20.0)
@@ -252,8 +249,7 @@ def _integral(below: Values, above: Values, shape: float) -> Values:
 
     with np.errstate(divide="ignore", invalid="ignore"):
         terms = [np.where(share > 0, share * boxcox(share, shape), 0.0) for share in (below, above)]  # 0 ln 0 is 0
-    integral: Values = (terms[0] + terms[1]) / (shape + 1)
-    return integral
+    return np.asarray((terms[0] + terms[1]) / (shape + 1))
 
 
 def _plot(values: Values, weights: Values, blocks: Values, inside: float) -> tuple[float, float]:

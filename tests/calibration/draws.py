@@ -10,7 +10,7 @@ import numpy as np
 from eldata.demo.body import KnownNoise
 from eldata.demo.calibration_frames import CalibrationCamera
 from eldata.records import Sensor
-from tests.calibration.simulation import XTRANS
+from tests.calibration.simulation import XTRANS, Camera
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,6 +52,30 @@ def drawn_noise(generator: np.random.Generator, isos: Sequence[int], channels: i
             )
         )
     return tuple(drawn)
+
+
+def drawn_camera(generator: np.random.Generator) -> Camera:
+    """A camera without a fault: any CFA, tails, noise and fixed pattern of the shipped profiles' ranges.
+
+    One in five is quieter than any of these, down to noise that is lost in rounding.
+    """
+    xtrans = bool(generator.random() < 0.3)
+    noise = drawn_noise(generator, [100, 3200], 3 if xtrans else 4)[generator.integers(2)]
+    quiet = float(np.exp(generator.uniform(np.log(0.1), np.log(0.6))))
+    return Camera(
+        shape=(390, 576) if xtrans else (384, 576),
+        cfa=XTRANS if xtrans else BAYER_PHASES[generator.integers(4)],
+        gain=noise.gain_dn_per_e,
+        tukey_lambda=noise.tukey_lambda,
+        sigma_tl=quiet if generator.random() < 0.2 else noise.sigma_tl_dn,
+        sigma_row=noise.sigma_row_dn,
+        bias=noise.colour_bias_dn,
+        black=2048.0,
+        dsnu=float(generator.choice([0.0, 0.2, 0.6])),
+        column_pattern=float(generator.choice([0.0, 0.3])),
+        hot_share=float(generator.choice([0.0, 1e-4, 1e-3])),
+        shading=float(generator.choice([0.0, 1.0, 5.0])),
+    )
 
 
 def drawn_bayer(generator: np.random.Generator, isos: Sequence[int]) -> CalibrationCamera:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
@@ -24,7 +24,7 @@ def analogue(body: Body, count: int) -> Frames:
     return [body.fixed.astype(np.float64) + body.noise() for _ in range(count)]
 
 
-def digitised(frames: Sequence[NDArray[np.float64]]) -> list[NDArray[np.uint16]]:
+def digitised(frames: Iterable[NDArray[np.float64]]) -> list[NDArray[np.uint16]]:
     return [np.clip(np.rint(frame), 0, 65535).astype(np.uint16) for frame in frames]
 
 

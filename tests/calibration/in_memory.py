@@ -1,4 +1,4 @@
-"""Frames of one ISO that are arrays, or are made when they are asked for, as ``calibrate_iso`` takes them."""
+"""Frames of one ISO that are arrays, or are made when they are asked for, through the estimators."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import os
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from eldata.base.workers import IN_THIS_PROCESS
+from eldata.calibration import BiasStack, BiasSums, FixedPattern, fixed_pattern
 from eldata.calibration.frames import IsoFrames
 from eldata.calibration.iso_results import IsoCalibration
 from eldata.calibration.one_iso import calibrate_iso
@@ -22,11 +23,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.workers import Workers
-    from eldata.calibration.residuals import ReadNoise
+    from eldata.calibration.iso_results import IsoGain, MeasuredFigure
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.records import Role, Sensor
+    from tests.calibration.simulation import Camera
 
     Mosaic = NDArray[np.uint16]
+    Pairs = Sequence[tuple[Mosaic, Mosaic]]
 
 ISO = 100
 
@@ -65,29 +68,50 @@ def iso_frames(bias: int, pairs: int) -> IsoFrames:
     )
 
 
-def calibrated_in_memory(
-    sensor: Sensor,
-    bias: int,
-    pairs: int,
-    take: Callable[[Role, int], Mosaic],
-    workers: Workers = IN_THIS_PROCESS,
-    **options: Any,
-) -> IsoCalibration:
-    """Calibrate an ISO of so many frames as :func:`iso_frames` numbers them."""
-    frames = cast("CalibrationFrames", FramesInMemory(sensor, take))
-    found = calibrate_iso(frames, iso_frames(bias, pairs), workers, **options)
-    assert isinstance(found, IsoCalibration)
-    return found
+def measured_in_memory(
+    sensor: Sensor, bias: int, pairs: int, take: Callable[[Role, int], Mosaic], workers: Workers = IN_THIS_PROCESS
+) -> IsoGain:
+    """Measure an ISO of so many frames as :func:`iso_frames` numbers them."""
+    return calibrate_iso(cast("CalibrationFrames", FramesInMemory(sensor, take)), iso_frames(bias, pairs), workers)
 
 
-def read_of(one: IsoCalibration) -> ReadNoise:
-    """The read noise of an ISO whose values do not end at 0."""
-    assert one.read is not None
-    return one.read
+def measured_arrays(sensor: Sensor, bias: Sequence[Mosaic], pairs: Sequence[tuple[Mosaic, Mosaic]]) -> IsoGain:
+    """Measure an ISO from arrays."""
+    by_role = {"bias": bias, "flat": [flat for pair in pairs for flat in pair]}
+    return measured_in_memory(sensor, len(bias), len(pairs), lambda role, number: by_role[role][number])
 
 
 def calibrated_arrays(sensor: Sensor, bias: Sequence[Mosaic], pairs: Sequence[tuple[Mosaic, Mosaic]]) -> IsoCalibration:
-    """Calibrate an ISO from arrays."""
-    flats = [flat for pair in pairs for flat in pair]
-    by_role = {"bias": bias, "flat": flats}
-    return calibrated_in_memory(sensor, len(bias), len(pairs), lambda role, number: by_role[role][number])
+    """Calibrate an ISO from arrays, of which bias frames can be used."""
+    record = measured_arrays(sensor, bias, pairs)
+    assert isinstance(record, IsoCalibration)
+    return record
+
+
+def stacked(camera: Camera, frames: Sequence[Mosaic]) -> FixedPattern:
+    stack = BiasStack(camera.cfa)
+    for frame in frames:
+        stack.add(frame)
+    return fixed_pattern(stack)
+
+
+def summed(fixed: FixedPattern, frames: Sequence[Mosaic]) -> BiasSums:
+    sums = BiasSums(fixed)
+    for frame in frames:
+        sums.add(frame)
+    return sums
+
+
+def calibrated(camera: Camera, frames: Sequence[Mosaic], pairs: Pairs = ()) -> IsoCalibration:
+    """Of all frames: the last is a copy, which is left out, so that none is held out."""
+    return calibrated_arrays(camera.sensor, [*frames, frames[0]], pairs)
+
+
+def figures_of(record: IsoCalibration, camera: Camera) -> dict[str, tuple[MeasuredFigure | None, float]]:
+    """Figures of bias frames, None if they are withheld, each with the truth."""
+    return {
+        "lambda": (record.tukey_lambda, camera.tukey_lambda),
+        "sigma_TL": (record.sigma_tl_dn, camera.sigma_tl),
+        "sigma_G": (record.sigma_gauss_dn, camera.noise.sigma_gauss_dn),
+        "sigma_row": (record.sigma_row_dn, camera.sigma_row),
+    }

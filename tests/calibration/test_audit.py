@@ -11,18 +11,19 @@ import pytest
 
 from eldata.calibration import Finding
 from eldata.calibration.camera import join_isos
-from eldata.calibration.findings import READ, SYMBOLS, accept_findings, list_symbols
+from eldata.calibration.iso_results import READ, SYMBOLS, accept_findings, list_symbols
 from eldata.noise import CameraProfile
 from eldata.reports.calibration import calibration_page
 from eldata.reports.html import typeset
 from tests.reports.calibrations import camera_at, measured
 from tests.reports.pages import checked
+from tests.shared import there
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.calibration import Calibration, IsoCalibration
-    from eldata.calibration.findings import Effect, Quantity
+    from eldata.calibration.iso_results import Effect, Quantity
 
 WHY = "half of the frames are of another planet; photograph this one"
 GAIN_CELL, ROW_CELL = 3, 7  # of a table's row
@@ -51,16 +52,14 @@ def finding(*figures: Quantity, effect: Effect = "withheld", allowance: float = 
 
 def with_findings(isos: tuple[IsoCalibration, ...], *findings: Finding) -> Calibration:
     """The second ISO has the findings; what it would have been compared with is left out, as calibrate_iso does."""
-    spoilt = replace(isos[1], findings=findings)
-    if spoilt.parameters is None:
-        spoilt = replace(spoilt, reproduction=None)
-    return join_isos("TestCamera", [isos[0], spoilt, *isos[2:]])
+    record = replace(isos[1], findings=findings)
+    kept = record.reproduction if record.parameters else None
+    return join_isos("TestCamera", [isos[0], replace(record, reproduction=kept), *isos[2:]])
 
 
 def page_of(found: Calibration) -> str:
     """The text of the page of the first two ISOs: drawing each takes a second."""
-    two = found.isos[:2]
-    return checked(calibration_page(join_isos(found.camera, two))).text
+    return checked(calibration_page(join_isos(found.camera, found.isos[:2]))).text
 
 
 def as_json(found: Calibration) -> dict[str, Any]:
@@ -81,16 +80,12 @@ def test_a_withheld_figure_is_given_nowhere(figure: Quantity, isos: tuple[IsoCal
             assert data[field] == (None if name == figure else before[field]), field
     assert before["withheld"] == {}
 
-    cells = found.tables()["figures"][1][1]
-    hidden = CELLS.get(figure, ())
-    for index in range(GAIN_CELL, ROW_CELL + 1):
-        assert (cells[index] == "withheld") == (index in hidden)
+    cells, hidden = found.tables()["figures"][1][1], CELLS.get(figure, ())
+    assert [index for index, cell in enumerate(cells) if cell == "withheld"] == list(hidden)
     colours = found.tables()["colour-bias"][1][1][1:5]
     assert (colours == ("withheld",) * 4) == (figure == "colour bias")
 
-    in_the_dark = figure != "gain"
-    assert (one.parameters is None) == in_the_dark
-    assert (data["reproduction"] is None) == in_the_dark
+    assert (one.parameters is None) == (data["reproduction"] is None) == (figure != "gain")
     # No number that only the withheld figure has is left in the text or the profile's notes.
     cells_of_it = {whole.tables()["figures"][1][1][index] for index in hidden}
     cells_of_it |= set(whole.tables()["colour-bias"][1][1][1:5]) if figure == "colour bias" else set()
@@ -125,13 +120,8 @@ def test_the_profile_of_what_is_left(isos: tuple[IsoCalibration, ...], tmp_path:
         fits = (found.tukey_lambda_fit, found.gauss_fit, found.row_fit)
         assert tuple(0 if fit is None else fit.points for fit in fits) == points, figure
         assert (found.row_fit == whole.row_fit) == (figure not in ("gain", "row noise"))
-        kept = [row for row in profile.rows if row.iso == 400]
-        if figure == "gain":
-            assert kept[0].gain_dn_per_e is None
-        elif figure == "row noise":
-            assert kept[0].sigma_row_dn is None
-        else:
-            assert kept == []
+        kept = [(row.gain_dn_per_e is None, row.sigma_row_dn is None) for row in profile.rows if row.iso == 400]
+        assert kept == {"gain": [(True, False)], "row noise": [(False, True)]}.get(figure, [])
         assert any(note.startswith("ISO 400: half of the frames") for note in profile.notes)
 
 
@@ -145,27 +135,21 @@ def test_an_allowance_widens_errors_in_quadrature(isos: tuple[IsoCalibration, ..
         finding("gain", effect="remark", allowance=9.0),
     )
     one = found.isos[1]
-    assert one.transfer is not None
-    read, rows = one.read, one.rows.rows
-    assert read is not None
+    transfer, read, rows = there(one.transfer), there(one.read), one.rows.rows
     for given, value, error, allowance in (
-        (one.gain, one.transfer.gain_dn_per_e, one.transfer.gain_error, 0.05 * one.transfer.gain_dn_per_e),
+        (one.gain, transfer.gain_dn_per_e, transfer.gain_error, 0.05 * transfer.gain_dn_per_e),
         (one.tukey_lambda, read.tukey_lambda, read.tukey_lambda_error, 0.05),
         (one.sigma_tl_dn, read.sigma_tl_dn, read.sigma_tl_error_dn, 0.05 * read.sigma_tl_dn),
         (one.sigma_gauss_dn, read.sigma_gauss_dn, read.sigma_gauss_error_dn, 0.05 * read.sigma_gauss_dn),
         (one.sigma_row_dn, rows.sigma_dn, rows.sigma_error_dn, 0.03 * rows.sigma_dn),
     ):
-        assert given is not None
-        assert given.value == value
-        assert given.error == pytest.approx(math.hypot(error, allowance), rel=1e-12)
-    assert one.colour_bias is not None
-    for channel, error in zip(one.colour_bias, one.bias.standard_error_dn, strict=True):
+        assert there(given).value == value
+        assert there(given).error == pytest.approx(math.hypot(error, allowance), rel=1e-12)
+    for channel, error in zip(there(one.colour_bias), one.bias.standard_error_dn, strict=True):
         assert channel.error == pytest.approx(math.hypot(error, 0.03), rel=1e-12)
-    data = as_json(found)["isos"][1]
-    assert one.gain is not None
-    assert data["gain_error"] == one.gain.error
+    assert as_json(found)["isos"][1]["gain_error"] == there(one.gain).error
     error_shown = float(found.tables()["figures"][1][1][GAIN_CELL].split(" ± ")[1])
-    assert error_shown == pytest.approx(one.gain.error, rel=0.17)
+    assert error_shown == pytest.approx(there(one.gain).error, rel=0.17)
     page = page_of(found)
     assert found.tables()["figures"][1][1][GAIN_CELL] in page
     assert f"Given with a larger error: {typeset(list_symbols(one.widened))} at ISO 400." in page

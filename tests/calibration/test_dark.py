@@ -9,16 +9,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.calibration import (
-    BiasStack,
-    BiasSums,
-    colour_bias,
-    fit_log_log,
-    fixed_pattern,
-    row_noise,
-)
-from eldata.errors import DatasetError
-from tests.calibration.chain import stacked
+from eldata.calibration import colour_bias, fit_log_log, row_noise
+from eldata.errors import ArgumentError, DatasetError
+from tests.calibration.faults import digitised
+from tests.calibration.in_memory import stacked, summed
 from tests.calibration.simulation import BAYER, XTRANS, Body, Camera
 
 if TYPE_CHECKING:
@@ -26,50 +20,33 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration import FixedPattern, RowNoise
+    from eldata.calibration import RowNoise
 
 CAMERA = Camera(shape=(512, 768))
 
 
-def lines(fixed: FixedPattern, frames: Sequence[NDArray[np.uint16]]) -> BiasSums:
-    means = BiasSums(fixed)
-    for frame in frames:
-        means.add(frame)
-    return means
-
-
 def lines_of(frames: Sequence[NDArray[np.uint16]]) -> RowNoise:
-    return row_noise(lines(stacked(CAMERA, frames), frames))
+    return row_noise(summed(stacked(CAMERA, frames), frames))
 
 
 # --- defects ------------------------------------------------------------------------------------------------------
 
 
-def test_the_stack_is_plain_numpys() -> None:
-    frames = Body(CAMERA, np.random.default_rng(0)).bias_frames(6)
-    fixed = stacked(CAMERA, frames)
-    stack = np.stack(frames).astype(np.float64)
-    np.testing.assert_array_equal(fixed.total_dn, stack.sum(axis=0))
-    np.testing.assert_allclose(fixed.total_dn / fixed.frames, stack.mean(axis=0), rtol=1e-6)
-    variance = stack.var(axis=0, ddof=1)
-    for channel in range(4):
-        chosen = (CAMERA.channel == channel) & ~fixed.defects
-        assert fixed.temporal_variance_dn2[channel] == pytest.approx(variance[chosen].mean())
-
-
-@pytest.mark.parametrize("cfa", [BAYER, XTRANS])
-def test_of_large_frames_a_seventh_of_the_rows_tells_the_noise(
-    cfa: tuple[tuple[int, ...], ...], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("cfa", "step"), [(BAYER, 1), (BAYER, 7), (XTRANS, 7)])
+def test_the_stack_is_plain_numpys(
+    cfa: tuple[tuple[int, ...], ...], step: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each channel has noise of its own, so that a row of the wrong channels would show."""
-    monkeypatch.setattr("eldata.calibration.defects._SQUARED_PIXELS", 0)
+    """Of large frames a seventh of the rows tells the noise: each channel's own, so that a wrong row would show."""
+    if step > 1:
+        monkeypatch.setattr("eldata.calibration.defects._SQUARED_PIXELS", 0)
     camera = CAMERA.with_(shape=(300, 420), cfa=cfa, bias=(0.0,) * (np.max(cfa) + 1))
     sigma = 2.0 + camera.channel
     generator = np.random.default_rng(12)
     frames = [np.rint(generator.normal(500, sigma)).astype(np.uint16) for _ in range(5)]
     fixed = stacked(camera, frames)
     variance = np.stack(frames).var(axis=0, ddof=1, dtype=np.float64)
-    seventh = np.arange(300)[:, None] // len(cfa) % 7 == 0
+    np.testing.assert_array_equal(fixed.total_dn, np.sum(frames, axis=0))
+    seventh = np.arange(300)[:, None] // len(cfa) % step == 0
     for channel in range(len(camera.bias)):
         chosen = (camera.channel == channel) & ~fixed.defects & seventh
         assert fixed.temporal_variance_dn2[channel] == pytest.approx(variance[chosen].mean(), rel=1e-12)
@@ -115,11 +92,8 @@ def test_shading_is_seen() -> None:
 
 def test_unusable_stacks() -> None:
     frames = Body(CAMERA, np.random.default_rng(4)).bias_frames(3)
-    stack = BiasStack(BAYER)
-    for frame in frames:
-        stack.add(frame)
-    with pytest.raises(DatasetError, match="4 are needed, ten or more advised"):
-        fixed_pattern(stack)
+    with pytest.raises(DatasetError, match="3 bias frames, and 4 are needed, 10 or more advised"):
+        stacked(CAMERA, frames)
     with pytest.raises(DatasetError, match=r"have one value in every frame, 5.. DN most often"):
         stacked(CAMERA, [frames[0]] * 4)
     below = CAMERA.with_(black=0.0, bias=(-15.0,) * 4, hot_share=0.0)
@@ -144,9 +118,7 @@ def test_column_noise_and_fixed_columns() -> None:
     camera = CAMERA.with_(column_pattern=0.8, hot_share=0.0)
     generator = np.random.default_rng(7)
     body = Body(camera, generator)
-    frames = [
-        np.rint(body.fixed + body.noise() + generator.normal(0, 0.4, (1, 768))).astype(np.uint16) for _ in range(10)
-    ]
+    frames = digitised(body.fixed + body.noise() + generator.normal(0, 0.4, (1, 768)) for _ in range(10))
     found = lines_of(frames)
     assert abs(found.columns.sigma_dn - 0.4) < 4 * found.columns.sigma_error_dn < 0.05
     assert found.columns.fixed_sigma_dn == pytest.approx(0.8, rel=0.12)  # of 768 columns
@@ -177,7 +149,7 @@ def test_bias_per_frame_and_pooled() -> None:
     frames = Body(CAMERA, np.random.default_rng(13)).bias_frames(6)
     fixed, stack = stacked(CAMERA, frames), np.stack(frames)
     assert fixed.defects.any()
-    means = lines(fixed, frames)
+    means = summed(fixed, frames)
     noise = row_noise(means)
     found = colour_bias(means, noise, [512.0, 512.0, 510.0, 512.0])
     ratios = []
@@ -210,6 +182,11 @@ def test_the_line_is_scipys() -> None:
     assert found.slope_error == pytest.approx(theirs.stderr)
     assert found.intercept_error == pytest.approx(theirs.intercept_stderr)
     assert found.r_squared == pytest.approx(theirs.rvalue**2)
+    with pytest.raises(ArgumentError, match="in pairs, finite and above 0"):
+        fit_log_log([1.0, 2.0, 3.0], [1.0, 2.0, 0.0])
+    for same in ([1.0, 2.0], [2.0, 2.0, 2.0]):
+        with pytest.raises(DatasetError, match="three ISOs of different gain"):
+            fit_log_log(same, same)
 
 
 def test_the_residual_variance_is_unbiased() -> None:

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.calibration.findings import CHECKS
+from eldata.calibration.iso_results import CHECKS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

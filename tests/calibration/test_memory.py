@@ -10,7 +10,7 @@ import pytest
 
 from eldata.base.workers import Workers
 from eldata.calibration import one_iso
-from tests.calibration.in_memory import calibrated_in_memory
+from tests.calibration.in_memory import measured_in_memory
 from tests.calibration.simulation import XTRANS, Camera
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def peak_bytes_per_pixel(camera: Camera, bias: int, jobs: int) -> float:
         return mosaic.view(np.uint16)
 
     tracemalloc.start()
-    calibrated_in_memory(camera.sensor, bias, 2, take, Workers(jobs))
+    measured_in_memory(camera.sensor, bias, 2, take, Workers(jobs))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     return peak / noise.size
@@ -55,5 +55,5 @@ def test_bytes_per_pixel(cfa: str, bias: int, jobs: int, most: float, monkeypatc
     """Without a frame kept out: the comparison with it takes a megapixel, of whatever sensor."""
     monkeypatch.setattr(one_iso, "HOLD_OUT_FROM", 1000)
     camera = Camera(shape=SHAPE) if cfa == "Bayer" else Camera(shape=SHAPE, cfa=XTRANS, bias=(0.0, 0.0, 0.0))
-    calibrated_in_memory(Camera(shape=SMALL[0].shape).sensor, 5, 0, lambda _, number: SMALL[number])  # compiles
+    measured_in_memory(Camera(shape=SMALL[0].shape).sensor, 5, 0, lambda _, number: SMALL[number])  # compiles
     assert 8 < peak_bytes_per_pixel(camera, bias, jobs) < most

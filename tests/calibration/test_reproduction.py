@@ -11,7 +11,7 @@ from scipy import stats
 
 from eldata.calibration import reproduction
 from eldata.noise import NoiseParameters
-from tests.calibration.chain import stacked
+from tests.calibration.in_memory import stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
 
 if TYPE_CHECKING:

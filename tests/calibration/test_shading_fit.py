@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from eldata.calibration import BiasStack, Finding, ShadingFit, calibrate, dark_shading, fixed_pattern
+from eldata.calibration import Finding, ShadingFit, calibrate, dark_shading
 from eldata.errors import ArgumentError, DatasetError
-from tests.calibration.trees import made_tree, rewritten
+from tests.calibration.in_memory import stacked
+from tests.calibration.simulation import Camera
+from tests.calibration.trees import rewritten
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
-    from eldata.calibration import FixedPattern
     from eldata.noise import DarkShading
+    from tests.calibration.trees import FrameTree
 
 CFA = ((1, 0), (2, 3))
 SHAPE = (96, 128)
@@ -66,17 +66,13 @@ def made(generator: np.random.Generator) -> Truth:
     )
 
 
-def pattern_of(frames: Iterable[NDArray[np.uint16]]) -> FixedPattern:
-    stack = BiasStack(CFA)
-    for frame in frames:
-        stack.add(frame)
-    return fixed_pattern(stack)
+pattern_of = partial(stacked, Camera(cfa=CFA))
 
 
 def fitted(truth: Truth, generator: np.random.Generator, starts: tuple[int, ...]) -> DarkShading:
     fit = ShadingFit(starts)
     for iso in generator.permutation(SPEEDS).tolist():  # in any order
-        frames = (truth.frame(iso, generator) for _ in range(FRAMES))
+        frames = [truth.frame(iso, generator) for _ in range(FRAMES)]
         fit.add(iso, pattern_of(frames), BLACK, (0.1,) * 4)
     return fit.shading("Simulated", "a test")
 
@@ -154,8 +150,7 @@ def test_a_fit_refuses_what_does_not_go_together() -> None:
     generator = np.random.default_rng(3)
 
     small, other = (
-        pattern_of(generator.normal(512, 3, shape).astype(np.uint16) for _ in range(4))
-        for shape in ((32, 32), (32, 36))
+        pattern_of(list(generator.normal(512, 3, (4, *shape)).astype(np.uint16))) for shape in ((32, 32), (32, 36))
     )
     fit = ShadingFit()
     with pytest.raises(DatasetError, match="Simulated: no ISO gives a dark shading: there are none"):
@@ -168,9 +163,8 @@ def test_a_fit_refuses_what_does_not_go_together() -> None:
     assert alone.error_dn(100) == pytest.approx(alone.isos[0].sigma_dn / 2)
 
 
-def test_modes_and_isos_are_the_calibrations(tmp_path: Path) -> None:
+def test_modes_and_isos_are_the_calibrations(tree: FrameTree) -> None:
     """Stated modes count; else those found, and what lies between two of them or has a withheld level is left out."""
-    tree = made_tree(tmp_path, bias_frames=4, flat_levels=2)
     frames = tree.frames()
     found = calibrate(frames)
     (fitted_mode,) = found.modes
@@ -187,7 +181,7 @@ def test_modes_and_isos_are_the_calibrations(tmp_path: Path) -> None:
     dimmer = dark_shading(frames, replace(found, isos=isos))
     assert [one.iso for one in dimmer.isos] == [400, 1600]
     assert dimmer.notes == ("ISO 100 was left out: brighter frames are noisier",)
-    assert dimmer.source.endswith("8 bias frames at 2 ISOs")
+    assert dimmer.source.endswith("12 bias frames at 2 ISOs")
     accepted = (replace(found.isos[0], findings=(replace(lit, effect="wider", is_accepted=True),)), *found.isos[1:])
     assert dark_shading(frames, replace(found, isos=accepted)).notes == dimmer.notes
     with pytest.raises(DatasetError, match="no ISO gives a dark shading: ISO 100 was left out: brighter frames"):
@@ -197,4 +191,4 @@ def test_modes_and_isos_are_the_calibrations(tmp_path: Path) -> None:
     clipped = dark_shading(frames, found)
     assert [one.iso for one in clipped.isos] == [100, 400]
     assert clipped.notes == ("ISO 1600 was left out: black is clipped, so the mean of a pixel is not its level",)
-    assert clipped.source.endswith("8 bias frames at 2 ISOs")
+    assert clipped.source.endswith("12 bias frames at 2 ISOs")

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from itertools import chain
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from eldata.calibration.iso_results import IsoCalibration
-from eldata.calibration.one_iso import calibrate_iso
-from tests.calibration.chain import calibrated, figures_of, given, stacked
-from tests.calibration.in_memory import FramesInMemory, calibrated_arrays, iso_frames
+from tests.calibration.in_memory import calibrated, calibrated_arrays, figures_of, measured_arrays, stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
+from tests.shared import there
 
 if TYPE_CHECKING:
-    from eldata.calibration.findings import Finding
-    from eldata.datasets.calibration_frames import CalibrationFrames
+    from eldata.calibration.iso_results import Finding
 
 # --- values that end at 0 ---------------------------------------------------------------------------------------------
 
@@ -46,8 +43,7 @@ def test_noise_below_0_is_withheld_and_k_is_not(camera: Camera, zeros: tuple[flo
     assert (found.read, found.plot, found.single_frame, found.parameters, found.reproduction) == (None,) * 5
     assert (found.tukey_lambda, found.sigma_tl_dn, found.sigma_gauss_dn, found.sigma_row_dn) == (None,) * 4
     assert found.colour_bias is None
-    assert found.gain is not None
-    assert abs(found.gain.value - camera.gain) < 5 * found.gain.error < 0.1 * camera.gain
+    assert abs(there(found.gain).value - camera.gain) < 5 * there(found.gain).error < 0.1 * camera.gain
 
 
 @pytest.mark.parametrize("floor", [1, 505, 508, 512])
@@ -63,8 +59,7 @@ def test_noise_that_ends_at_any_value_is_withheld(floor: int) -> None:
     (said,) = found.findings
     assert (said.check, found.colour_bias) == ("clipped black", None)
     assert f"values end at {floor} DN" in said.text
-    assert found.gain is not None
-    assert abs(found.gain.value - 1) < 5 * found.gain.error < 0.1
+    assert abs(there(found.gain).value - 1) < 5 * there(found.gain).error < 0.1
 
 
 @pytest.mark.parametrize("deviation", [0.25, 0.4, 3.0])
@@ -82,15 +77,11 @@ def test_bias_frames_without_noise_cost_an_iso_its_k_no_more() -> None:
     camera = Camera(shape=(258, 384), dsnu=0.0)
     flats = Body(camera, np.random.default_rng(9)).flat_pairs((1500.0, 5000.0, 9000.0))
     for value in (0, 512):
-        by_role = {"bias": [np.full(camera.shape, value, dtype=np.uint16)] * 6, "flat": [*chain(*flats)]}
-        for number, frame in enumerate(by_role["bias"]):
-            by_role["bias"][number] = frame.copy()
-            by_role["bias"][number][:1, :400] += number % 2  # not copies
-        frames = cast("CalibrationFrames", FramesInMemory(camera.sensor, lambda role, n, of=by_role: of[role][n]))  # type: ignore[misc]
-        found = calibrate_iso(frames, iso_frames(6, 3))
+        bias = np.full((6, *camera.shape), value, dtype=np.uint16)
+        bias[1::2, :1, :400] += 1  # not copies
+        found = measured_arrays(camera.sensor, list(bias), flats)
         assert not isinstance(found, IsoCalibration)
-        assert found.gain is not None
-        assert abs(found.gain.value - 1) < 5 * found.gain.error
+        assert abs(there(found.gain).value - 1) < 5 * there(found.gain).error
         assert found.withheld == {"shape", "read noise", "row noise", "colour bias"}
         assert "have one value in every frame" in found.why("shape")
 
@@ -100,7 +91,7 @@ def test_black_near_0_that_is_not_reached_is_no_clip(above: float) -> None:
     """Four frames whose noise, nearly Gaussian, ends above 0: so many standard deviations; two million residuals."""
     camera = Camera(shape=(512, 768), tukey_lambda=0.14, sigma_tl=2.0, sigma_row=0.2, dsnu=0.1, column_pattern=0.0)
     camera = camera.with_(black=above * camera.noise.sigma_gauss_dn, bias=(0.0,) * 4, hot_share=0.0)
-    read = calibrated(camera, Body(camera, np.random.default_rng(3)).bias_frames(4)).read
+    read = there(calibrated(camera, Body(camera, np.random.default_rng(3)).bias_frames(4)).read)
     assert abs(read.tukey_lambda - 0.14) < 5 * read.tukey_lambda_error < 0.05
     assert abs(read.sigma_tl_dn - 2.0) < 5 * read.sigma_tl_error_dn < 0.1
 
@@ -126,14 +117,12 @@ def test_below_0_4_dn_rounding_decides(deviation: float, shape: float) -> None:
     found = calibrated(camera, Body(camera, np.random.default_rng(2)).bias_frames(10))
     said = of(found.findings, "rounding", "shape")[0]
     assert said.effect == "withheld"
-    assert said.statistic == found.read.sigma_gauss_dn < said.threshold == 0.4
+    assert said.statistic == there(found.read).sigma_gauss_dn < said.threshold == 0.4
     assert f"the read noise is {said.statistic:.2g} DN, below 0.4 DN" in said.text
-    for name, (figure, value, error, true, scale) in figures_of(found, camera).items():
-        one = given(found.findings, figure, value, error, scale)
+    for name, (one, true) in figures_of(found, camera).items():
         assert (one is None) >= (name in ("lambda", "sigma_TL"))
         assert one is None or abs(one.value - true) < 5 * one.error < 1.25 * true, name
-    if deviation > 0.3:
-        assert given(found.findings, "read noise", found.read.sigma_gauss_dn, 0.0, deviation) is not None
+    assert deviation < 0.3 or found.sigma_gauss_dn is not None
 
 
 @pytest.mark.parametrize("level", [0.0, 0.35, 0.5])
@@ -150,13 +139,10 @@ def test_levels_that_share_a_fraction(deviation: float, shape: float, dsnu: floa
     camera = quiet(deviation, shape, dsnu=dsnu, column_pattern=0.0, bias=(level,) * 4)
     found = calibrated(camera, Body(camera, np.random.default_rng(12)).bias_frames(10))
     assert of(found.findings, "fit of the read noise", "shape") == [], "steps of a DN are no other family"
-    for name, (figure, value, error, true, scale) in figures_of(found, camera).items():
-        one = given(found.findings, figure, value, error, scale)
+    for name, (one, true) in figures_of(found, camera).items():
         if one is not None:
             assert abs(one.value - true) < 2.5 * one.error, (name, one, true)
-            assert one.error < (0.16 if figure != "row noise" else 0.4) * (1 if name == "lambda" else true)
-    for channel, mean in enumerate(found.bias.bias_dn):
-        one = given(found.findings, "colour bias", mean, found.bias.standard_error_dn[channel], 1.0)
-        assert one is None or abs(one.value - level) < max(2.5 * one.error, 0.01)
+            assert one.error < (0.16 if name != "sigma_row" else 0.4) * (1 if name == "lambda" else true)
+    assert all(abs(channel.value - level) < max(2.5 * channel.error, 0.01) for channel in found.colour_bias or ())
     if deviation < 0.5 and dsnu == 0:
         assert any(one.effect == "withheld" for one in of(found.findings, "rounding", "shape"))

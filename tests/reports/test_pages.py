@@ -19,11 +19,11 @@ from PIL import Image
 from eldata.plots.pictures import block_means, grey_png
 from eldata.reports.calibration import calibration_page
 from eldata.reports.html import digits, measured, prose, typeset
-from tests.calibration.in_memory import read_of
 from tests.calibration.simulation import XTRANS
 from tests.reports import calibrations
 from tests.reports.calibrations import camera_at
 from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser
+from tests.shared import there
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def sparse(isos: tuple[IsoCalibration, ...]) -> str:
         spatial=None,
         flat_frames=0,
         rows=replace(bare.rows, rows=quiet),
-        read=replace(read_of(bare), tukey_lambda_error=math.nan, sigma_gauss_error_dn=math.nan),
+        read=replace(there(bare.read), tukey_lambda_error=math.nan, sigma_gauss_error_dn=math.nan),
         bias=replace(bare.bias, standard_error_dn=(math.nan,) * 4),
         pattern=replace(bare.pattern, shading_dn=np.zeros_like(bare.pattern.shading_dn)),
         remarks=(HOSTILE, "long" * 100),

@@ -1,0 +1,27 @@
+"""Calibration frames in files, made once for all tests of the room."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.calibration.trees import FrameTree, made_tree
+from tests.shared import made_once
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+@pytest.fixture(scope="session")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FrameTree]:
+    """Three ISOs, six bias frames and three pairs of flats each. Not to be changed."""
+    with made_once(tmp_path_factory, "calibration-frames", made_tree) as folder:
+        yield FrameTree(folder)
+
+
+@pytest.fixture
+def tree(pristine: FrameTree, tmp_path: Path) -> FrameTree:
+    """A copy that a test may change."""
+    return pristine.copy(tmp_path / "tree")

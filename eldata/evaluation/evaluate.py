@@ -1,4 +1,4 @@
-"""The evaluation: check the dataset, find the predictions, score images or clips under a protocol."""
+"""The evaluation: check the dataset, find the predictions of one method or of several, score images or clips."""
 
 from __future__ import annotations
 

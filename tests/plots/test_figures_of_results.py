@@ -140,7 +140,7 @@ def test_hostile_names_stay_text() -> None:
     for shown in (scored, compare({HOSTILE: scored, "b\n$x$": scored})):
         assert_one_line(shown, "")
         assert_shows_in_a_notebook(shown, HOSTILE)
-        assert shown.plot().axes  # and neither mathematics nor a letter that the font lacks
+    assert scored.plot().axes  # and neither mathematics nor a letter that the font lacks
     profile = replace(CameraProfile.load("SonyA7S2"), camera=HOSTILE + "$\\frac{$", source="\x1b" + HOSTILE)
     assert_one_line(profile, "CameraProfile(")
     assert_shows_in_a_notebook(profile, HOSTILE)
@@ -250,6 +250,15 @@ def test_the_photon_transfer_of_an_iso(found: Calibration) -> None:
         ArgumentError, match="no photon transfer was measured at ISO 800; ISOs with one: 400, 1600, 3200"
     ):
         found.plot(iso=800)
+
+
+def test_pooled_points_are_means_by_inverse_variances() -> None:
+    """Of neighbours by signal, in whatever order the points come."""
+    points = np.array([[30.0, 10.0, 20.0, 40.0], [7.0, 3.0, 5.0, 9.0], [0.5, 0.1, 0.2, 1.0]])
+    signal, variance, error = PhotonTransferLine(0.2, 0.01, 1.0, 0.1, 1.0, *points).pooled(2)
+    assert signal == pytest.approx([(100 * 10 + 25 * 20) / 125, (4 * 30 + 40) / 5], rel=1e-12)
+    assert variance == pytest.approx([(100 * 3 + 25 * 5) / 125, (4 * 7 + 9) / 5], rel=1e-12)
+    assert error == pytest.approx([125**-0.5, 5**-0.5], rel=1e-12)
 
 
 # --- figures ------------------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ def looking_cost(files: Files, rounds: int) -> list[Row]:
         return evaluate(files.predictions, root=files.data, manifest=files.manifest)
 
     def scoring() -> EvaluationResult:
-        with patch.object(score, "chosen_frames", lambda _frames: frozenset()):
+        with patch.object(score, "choose_frames", lambda _frames: frozenset()):
             return looking()
 
     count = len(looking().scores)

@@ -18,8 +18,7 @@ from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_patches
 from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames, estimate_line, line_of_profile
 from eldata.baselines.prediction_folder import ANSWERS, begun, remarks_on
 from eldata.errors import ArgumentError, DatasetError, check_choice
-from eldata.evaluation.layouts import stem_of
-from eldata.evaluation.predictions import save_prediction
+from eldata.evaluation.predictions import save_prediction, stem_of
 from eldata.evaluation.request import make_request, plan_scoring, require_pairs
 from eldata.manifest.card import CHANNELS
 from eldata.manifest.clips import clips_of, setting_name

@@ -108,12 +108,12 @@ def _options(arguments: console.Arguments, workers: Workers) -> dict[str, Any]:
 def _run_several(arguments: console.Arguments) -> int:
     """Score several folders, or one whose results go to a folder."""
     from eldata.evaluation.comparison import format_comparison
-    from eldata.evaluation.evaluate import perform_each
-    from eldata.evaluation.methods import (
+    from eldata.evaluation.evaluate import (
         COMPARISON,
-        compare_scored,
+        compare_methods,
         make_results_folder,
-        named_folders,
+        name_folders,
+        perform_each,
         write_results,
     )
     from eldata.evaluation.request import make_request
@@ -126,7 +126,7 @@ def _run_several(arguments: console.Arguments) -> int:
             f"--{unfit} writes the result of one method; of several, and with -o or --name, give -o FOLDER alone: it "
             "gets NAME.json and NAME.csv of each, and their comparison"
         )
-    folders = named_folders([Path(name) for name in arguments.predictions], arguments.names)
+    folders = name_folders([Path(name) for name in arguments.predictions], arguments.names)
     out = None if arguments.output is None else Path(arguments.output)
     with console.chosen_workers(arguments) as workers:
         options = _options(arguments, workers)
@@ -135,7 +135,7 @@ def _run_several(arguments: console.Arguments) -> int:
             _check_places(requests[0], out)
             make_results_folder(out, folders)
         results = dict(zip(folders, perform_each(requests), strict=True))
-    comparison, why_not = compare_scored(results)
+    comparison, why_not = compare_methods(results)
 
     def show() -> None:
         heading = {"text": "{}:\n", "markdown": "## {}\n", "latex": "% {}"}[arguments.format]

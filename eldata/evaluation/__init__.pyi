@@ -1,8 +1,8 @@
 from .comparison import Comparison as Comparison
 from .comparison import compare as compare
 from .evaluate import evaluate as evaluate
+from .evaluate import evaluate_methods as evaluate_methods
 from .evaluate import scored_pairs as scored_pairs
-from .methods import evaluate_methods as evaluate_methods
 from .predictions import load_prediction as load_prediction
 from .predictions import save_clip_prediction as save_clip_prediction
 from .predictions import save_prediction as save_prediction

@@ -16,8 +16,8 @@ from eldata.evaluation.scores import (
     UnitScore,
     factor_text,
     grouped_table,
-    groups_of,
     json_object,
+    list_groups,
     means,
     short_digest,
 )
@@ -27,8 +27,8 @@ from eldata.evaluation.statistics import (
     RESAMPLES,
     SEED,
     Difference,
-    clusters_of,
     holm,
+    list_clusters,
     over_scenes,
     paired_difference,
 )
@@ -36,17 +36,15 @@ from eldata.evaluation.statistics import (
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
 
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from eldata.base import numbers
     from eldata.base.tables import Format
     from eldata.evaluation.results import EvaluationResult
     from eldata.metrics.registry import Kind
-    from eldata.plots.axes import Theme
 
 Images: TypeAlias = "Sequence[tuple[UnitScore, ...]]"
 """Of each image the score by each method."""
+
+Pairings: TypeAlias = tuple[tuple[UnitScore, UnitScore], ...]  # by the first method and by another
 
 # What of the provenance decides neither which images are scored nor against what.
 _NOT_DECIDING = (
@@ -158,7 +156,7 @@ class Comparison:
         """The group of all common images."""
         return self.groups[-1]
 
-    def pairings(self, index: int) -> tuple[tuple[UnitScore, UnitScore], ...]:
+    def pairings(self, index: int) -> Pairings:
         """Return the scores by the first method and by the method of this index among the others, image by image."""
         return tuple((scores[0], scores[index + 1]) for scores in self.images)
 
@@ -175,47 +173,12 @@ class Comparison:
 
         return sorted(range(len(self.images)), key=worst_gain_db)
 
-    def extremes(
-        self, index: int
-    ) -> tuple[tuple[tuple[UnitScore, UnitScore], ...], tuple[tuple[UnitScore, UnitScore], ...]]:
+    def extremes(self, index: int) -> tuple[Pairings, Pairings]:
         """Return the pairings with the biggest wins of a method by PSNR, and those with its biggest losses."""
         gains = [(other.psnr_db - first.psnr_db, (first, other)) for first, other in self.pairings(index)]
         known = sorted((gain for gain in gains if math.isfinite(gain[0])), key=lambda gain: gain[0])
         wins = tuple(pairing for gain_db, pairing in known[::-1][:_SHOWN] if gain_db > 0)
         return wins, tuple(pairing for gain_db, pairing in known[:_SHOWN] if gain_db < 0)
-
-    def plot(self, metric: str = "psnr_db", *, ax: Axes | None = None) -> Figure:
-        """Draw how far each method's mean lies above the first one's, by group, with intervals over scenes.
-
-        Parameters
-        ----------
-        metric
-            The name of a column that all methods have, such as ``psnr_db`` or ``ssim``.
-        ax
-            Axes to draw into; by default new ones, in a figure that belongs to no pyplot and shows in a notebook.
-
-        Raises
-        ------
-        ArgumentError
-            If the methods have no such column, or no difference is finite.
-        """
-        from eldata.plots.axes import drawn_into, nothing_to_draw
-        from eldata.plots.scores import mean_gains
-
-        chosen, (first, *others) = self.kind.metric(metric), self.names
-        gains = [
-            (name, [group.gains[index][chosen.name].interval.ends for group in self.groups])
-            for index, name in enumerate(others)
-        ]
-        if not any(math.isfinite(mean) for _, ends in gains for mean, _, _ in ends):
-            raise nothing_to_draw(f"{metric} of this comparison", "no difference is finite")
-
-        def draw(axes: Axes, theme: Theme) -> None:
-            mean_gains(axes, [group.name for group in self.groups], gains, theme)
-            axes.set_xlabel(f"difference of {chosen.heading}")
-
-        named = others[0] if len(others) == 1 else f"{len(others)} methods"
-        return drawn_into(ax, f"{named} against {first}", draw)
 
     def __repr__(self) -> str:
         psnr = self.kind.metric("psnr_db")
@@ -304,22 +267,15 @@ def _common_kind(results: Sequence[EvaluationResult]) -> Kind:
 def _groups(images: Images, metrics: Sequence[numbers.Figure], result: EvaluationResult) -> tuple[Group, ...]:
     names = [metric.name for metric in metrics]
     groups = []
-    for camera, ratio in groups_of([(scores[0].camera, scores[0].ratio) for scores in images], result.dataset):
+    for camera, ratio in list_groups([(scores[0].camera, scores[0].ratio) for scores in images], result.dataset):
         members = [
             scores for scores in images if camera in (None, scores[0].camera) and ratio in (None, scores[0].ratio)
         ]
-        places = clusters_of((scores[0] for scores in members), scenes_shared=result.scenes_shared)
+        places = list_clusters((scores[0] for scores in members), scenes_shared=result.scenes_shared)
         first, *others = zip(*members, strict=True)
-        groups.append(
-            Group(
-                camera,
-                ratio,
-                images=len(members),
-                scenes=len(set(places)),
-                means=tuple(means(scores, names) for scores in (first, *others)),
-                gains=tuple(_differences(first, other, names, places) for other in others),
-            )
-        )
+        averages = tuple(means(scores, names) for scores in (first, *others))
+        gains = tuple(_differences(first, other, names, places) for other in others)
+        groups.append(Group(camera, ratio, len(members), len(set(places)), averages, gains))
     return tuple(groups)
 
 
@@ -328,7 +284,7 @@ def _contests(
 ) -> tuple[Contest, ...]:
     names = [metric.name for metric in metrics]
     shared = next(iter(results.values())).scenes_shared
-    places = clusters_of((scores[0] for scores in images), scenes_shared=shared)
+    places = list_clusters((scores[0] for scores in images), scenes_shared=shared)
     pairs = list(combinations(zip(results, zip(*images, strict=True), strict=True), 2))
     gains = [_differences(first, other, names, places) for (_, first), (_, other) in pairs]
     corrected = iter(holm([difference.p_value for of in gains for difference in of.values()]))
@@ -502,12 +458,12 @@ def format_comparison(comparison: Comparison, form: Format) -> str:
     lines = [summary, ""]
     for name, title, cells, _ in tables:
         plain = LABELS if name == "methods" else len(cells.header)
-        header, *rows = ((*row[:plain], *map(_starred, row[plain:])) for row in (cells.header, *cells.rows))
+        header, *rows = ((*row[:plain], *map(_mark_best, row[plain:])) for row in (cells.header, *cells.rows))
         lines += [title, "", text_table(header, rows), ""]
     return "\n".join([*lines, "* best of its row", *(line for text in notes for line in wrapped(text, ""))])
 
 
-def _starred(cell: str) -> str:
+def _mark_best(cell: str) -> str:
     """Return a cell with a star where it is the best of its row, and room for one where it is not."""
     return f"{cell}{'*' if isinstance(cell, Strong) else ' '}"
 

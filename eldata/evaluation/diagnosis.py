@@ -1,9 +1,9 @@
 """Mistakes in predictions that references show: undone, they would raise the scores.
 
-A few frames of each camera and factor are looked at (:func:`chosen_frames`). On some blocks of each, the orders of
-channels, shifts and curves that mistakes leave behind are tried (:func:`mistake_in`); what stands out there is
+A few frames of each camera and factor are looked at (:func:`choose_frames`). On some blocks of each, the orders of
+channels, shifts and curves that mistakes leave behind are tried (:func:`find_mistake`); what stands out there is
 undone on the whole frame and scored as the protocol does. What most frames show alike is a suspicion
-(:func:`suspicions_of`).
+(:func:`find_suspicions`).
 
 A prediction that is merely poor is not to be accused. So a mistake has to be worth at least a decibel (a shift half of
 one), most frames have to show the same one, and a curve has to be the mistake's own: the mean prediction at each level
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.evaluation.mistakes import GAIN_DB, Blocks, best_curve, best_place, inner_entries, is_copied_input
+from eldata.evaluation.mistakes import GAIN_DB, Blocks, cut_margin, find_curve, find_place, is_copied_input
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -116,7 +116,7 @@ class Suspicion:
 # --- one frame -------------------------------------------------------------------------------------------------------
 
 
-def mistake_in(prediction: Array, target: Array, psnr_db: float, now: Circumstances) -> Mistake | None:
+def find_mistake(prediction: Array, target: Array, psnr_db: float, now: Circumstances) -> Mistake | None:
     """Return the mistake that would explain the score of a prediction, if there is one that stands out.
 
     Parameters
@@ -132,7 +132,7 @@ def mistake_in(prediction: Array, target: Array, psnr_db: float, now: Circumstan
     if blocks is None:
         return None
     p, g = blocks.cut(prediction), blocks.cut(target)
-    inner = inner_entries(g)
+    inner = cut_margin(g)
     if float(inner.max()) - float(inner.min()) < 1e-6:  # nothing to tell by
         return None
     if float(p.max()) == float(p.min()) and float(prediction.max()) == float(prediction.min()):
@@ -140,7 +140,7 @@ def mistake_in(prediction: Array, target: Array, psnr_db: float, now: Circumstan
     if is_copied_input(p, inner, blocks, now):
         return Mistake("as if the noisy input, amplified, were copied")
     explanations: list[tuple[float, Mistake]] = []
-    for undoing in filter(None, (best_curve(p, g, now), best_place(p, inner, now))):
+    for undoing in filter(None, (find_curve(p, g, now), find_place(p, inner, now))):
         words, undo, least_db = undoing
         if undo is None:
             explanations.append((GAIN_DB, Mistake(words)))
@@ -156,7 +156,7 @@ def mistake_in(prediction: Array, target: Array, psnr_db: float, now: Circumstan
 _GOLDEN = (math.sqrt(5) - 1) / 2
 
 
-def chosen_frames(frames: Iterable[tuple[str, str, float | None, float]]) -> frozenset[str]:
+def choose_frames(frames: Iterable[tuple[str, str, float | None, float]]) -> frozenset[str]:
     """Return the paths of the frames to look at: up to :data:`EACH` of each camera and factor, spread over ISOs.
 
     Of a camera with more than :data:`MOST_FACTORS` factors they are spread over these too, and as many as of so many.
@@ -195,17 +195,17 @@ _PLACES: tuple[Callable[[Inspection], str], ...] = (
 )
 
 
-def suspicions_of(inspections: Sequence[Inspection]) -> tuple[Suspicion, ...]:
+def find_suspicions(inspections: Sequence[Inspection]) -> tuple[Suspicion, ...]:
     """Return the mistakes that most frames show alike: of all, else of a camera, else of a camera and factor.
 
     A prediction of another frame is a mistake wherever it occurs.
     """
-    return (*_exchanged(inspections), *_shared_mistakes(inspections, min(2, len(inspections))))
+    return (*_find_exchanged(inspections), *_shared_mistakes(inspections, min(2, len(inspections))))
 
 
 def _shared_mistakes(inspections: Sequence[Inspection], fewest: int, depth: int = 0) -> list[Suspicion]:
     suspicions = []
-    for where, members in _grouped(inspections, _PLACES[depth]).items():
+    for where, members in _group(inspections, _PLACES[depth]).items():
         shared = _shared_mistake(members, where, fewest)
         if shared is not None:
             suspicions.append(shared)
@@ -238,7 +238,7 @@ _SKETCH = (24, 36)
 _LIKE, _LIKER = 0.7, 0.3  # the correlation with another reference, at least, and by how much it is the higher one
 
 
-def _exchanged(inspections: Sequence[Inspection]) -> list[Suspicion]:
+def _find_exchanged(inspections: Sequence[Inspection]) -> list[Suspicion]:
     """Suspect predictions of belonging to other frames if some are like another frame's reference."""
     references = np.stack([inspection.reference for inspection in inspections]) if inspections else np.empty((0, 0))
     exchanged = []
@@ -255,7 +255,7 @@ def _exchanged(inspections: Sequence[Inspection]) -> list[Suspicion]:
     return [Suspicion(words, "", len(exchanged), len(inspections), score, None, first.path)]
 
 
-def _grouped(inspections: Sequence[Inspection], key: Callable[[Inspection], Any]) -> dict[Any, list[Inspection]]:
+def _group(inspections: Sequence[Inspection], key: Callable[[Inspection], Any]) -> dict[Any, list[Inspection]]:
     groups: dict[Any, list[Inspection]] = defaultdict(list)
     for inspection in inspections:
         groups[key(inspection)].append(inspection)
@@ -264,19 +264,13 @@ def _grouped(inspections: Sequence[Inspection], key: Callable[[Inspection], Any]
 
 def _shared_mistake(inspections: Sequence[Inspection], where: str, fewest: int) -> Suspicion | None:
     """Return the mistake that most of these frames show, if there is one."""
-    showing = _grouped(inspections, lambda inspection: inspection.mistake and inspection.mistake.words)
+    showing = _group(inspections, lambda inspection: inspection.mistake and inspection.mistake.words)
     showing.pop(None, None)
     words, most = max(showing.items(), key=lambda item: len(item[1]), default=("", []))
     if not most or len(most) < max(_SHARE * len(inspections), fewest):
         return None
     mistakes = [inspection.mistake for inspection in most if inspection.mistake]
     without = [mistake.without_db for mistake in mistakes if mistake.without_db is not None]
-    return Suspicion(
-        words=words,
-        where=where,
-        shown=len(most),
-        looked=len(inspections),
-        psnr_db=fmean([inspection.psnr_db for inspection in most]),
-        without_db=fmean(without) if len(without) == len(most) else None,
-        example=most[0].path,
-    )
+    psnr_db = fmean([inspection.psnr_db for inspection in most])
+    without_db = fmean(without) if len(without) == len(most) else None
+    return Suspicion(words, where, len(most), len(inspections), psnr_db, without_db, most[0].path)

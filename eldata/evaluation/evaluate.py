@@ -1,39 +1,42 @@
-"""The evaluation: check the dataset, find the predictions, score images or clips under a protocol."""
+"""The evaluation: check the dataset, find the predictions of one method or of several, score images or clips."""
 
 from __future__ import annotations
 
 import platform
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
+from itertools import repeat
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldata import __version__
-from eldata.errors import EldataError
-from eldata.evaluation.diagnosis import suspicions_of
-from eldata.evaluation.layouts import FoundPredictions, find_predictions
+from eldata.base.files import path_problem, remove_leftovers, write_json, write_problem
+from eldata.errors import ArgumentError, EldataError
+from eldata.evaluation.comparison import Comparison, compare
+from eldata.evaluation.diagnosis import find_suspicions
+from eldata.evaluation.predictions import FoundPredictions, find_predictions
 from eldata.evaluation.request import (
     SETTINGS,
     Request,
-    known_places,
+    list_places,
+    list_places_elsewhere,
     make_request,
-    places_elsewhere,
     plan_scoring,
     require_pairs,
-    stated_shading,
+    stated_setting,
 )
-from eldata.evaluation.results import THE_INPUT, EvaluationResult
-from eldata.evaluation.score import compared_images, score_predictions
-from eldata.evaluation.scores import EvaluationProblem
+from eldata.evaluation.results import THE_INPUT, EvaluationResult, kind_of
+from eldata.evaluation.score import score_predictions, yield_compared
+from eldata.evaluation.scores import EvaluationProblem, table_of
 from eldata.evaluation.tasks import task_note
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.protocol import CHOICES, ONE_CAMERAS_LEVELS
 from eldata.protocols.words import LEVELS
-from eldata.records import PairRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Collection, Iterable, Iterator, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -44,6 +47,9 @@ if TYPE_CHECKING:
     from eldata.evaluation.scores import Pair
     from eldata.evaluation.tasks import Task, TaskFunction
     from eldata.protocols.protocol import Protocol
+
+COMPARISON = "comparison"
+"""The name of the comparison's files, which no method may have."""
 
 
 def evaluate(
@@ -139,13 +145,71 @@ def evaluate(
     return perform_each([request])[0]
 
 
+def evaluate_methods(
+    predictions: Mapping[str, Path | str] | Iterable[Path | str], dataset: str = "eld", *,
+    protocol: str | Path | Protocol | None = None,
+    root: Path | str | None = None, manifest: Path | str | None = None, cameras: Collection[str] | None = None,
+    subset: str | None = None, ids: Collection[str] | None = None, exclude_flags: Collection[str] = (),
+    allow_missing: bool = False, strict: bool = False,
+    task: Task | TaskFunction | str | None = None, dark_shading: Path | str | None = None, workers: AnyWorkers = 1,
+) -> dict[str, EvaluationResult]:  # fmt: skip
+    """Score several folders of predictions in one pass over the dataset: each raw file is decoded once for all.
+
+    Parameters
+    ----------
+    predictions
+        The folder of each method by its name; or folders, whose own names are the methods'.
+    dataset, protocol, root, manifest, cameras, subset, ids, exclude_flags, allow_missing, strict, task, \
+    dark_shading, workers
+        As for :func:`eldata.evaluate`.
+
+    Returns
+    -------
+    dict
+        The result of each, by name, in their order: what :func:`eldata.evaluate` gives of its folder alone. What is
+        wrong with the predictions of one is a problem of its own result, and costs the others nothing.
+        :func:`eldata.evaluation.compare` holds them against each other.
+
+    Raises
+    ------
+    ArgumentError
+        If two have one name, or a name cannot be that of a file.
+    EldataError, DatasetError, ManifestError
+        Like :func:`eldata.evaluate`.
+
+    Examples
+    --------
+    >>> from eldata.baselines import BaselineDenoiser, write_predictions
+    >>> from eldata.evaluation import evaluate_methods
+    >>> demo = {"manifest": "eldata-demo/manifests/eld-demo.csv", "root": "eldata-demo/data"}
+    >>> for name in ("input", "dct"):
+    ...     report = write_predictions(BaselineDenoiser(name), "", f"preds/{name}", **demo)
+    >>> results = evaluate_methods(["preds/input", "preds/dct"], **demo)
+    >>> {name: round(float(result.frame["psnr_db"].mean()), 2) for name, result in results.items()}
+    {'input': 29.02, 'dct': 39.03}
+    """
+    names = list(predictions) if isinstance(predictions, Mapping) else []
+    folders = name_folders(
+        [Path(folder) for folder in (predictions.values() if isinstance(predictions, Mapping) else predictions)], names
+    )
+    requests = [
+        make_request(
+            folder, dataset, protocol, root=root, manifest=manifest,
+            cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
+            strict=strict, task=task, dark_shading=dark_shading, workers=workers,
+        )
+        for folder in folders.values()
+    ]  # fmt: skip
+    return dict(zip(folders, perform_each(requests), strict=True))
+
+
 def scored_pairs(
     predictions: Path | str | None, dataset: str = "eld", *, protocol: str | Path | Protocol | None = None,
     root: Path | str | None = None, manifest: Path | str | None = None, cameras: Collection[str] | None = None,
     subset: str | None = None, ids: Collection[str] | None = None, exclude_flags: Collection[str] = (),
     allow_missing: bool = False, baseline: Baseline | None = None, dark_shading: Path | str | None = None,
 ) -> Iterator[tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]], Pair]]:  # fmt: skip
-    """Yield prediction, reference and record of each pair, for whatever else is to be measured of what is scored.
+    """Yield prediction, reference and record of each pair, to measure whatever else you want.
 
     The images are those that :func:`evaluate` takes the score of, treated as the protocol has it: the scored region,
     the prediction clamped and multiplied by its factor, both rendered or rounded under a protocol of renderings. They
@@ -198,7 +262,7 @@ def scored_pairs(
         more = f" (and {len(found.problems) - 1} more: eldata evaluate lists all)" if len(found.problems) > 1 else ""
         raise EldataError(f"{found.problems[0]}{more}")
     files, _ = require_pairs(request, plan.pairs)
-    return compared_images(request, files, plan.pairs, None if predictions is None else found.files)
+    return yield_compared(request, files, plan.pairs, None if predictions is None else found.files)
 
 
 def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
@@ -214,40 +278,48 @@ def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
     with first.workers_for(plan.pairs).sharing() as workers:  # processes are started once, for checks and scores
         first = replace(first, workers=workers)
         found = [_find_predictions(request, plan) for request in requests]
-        files, of_whites = require_pairs(first, plan.pairs)
+        files, white_notes = require_pairs(first, plan.pairs)
         predictions = [
             None if request.predictions is None else those.files if request.allow_missing or not those.problems else {}
             for request, those in zip(requests, found, strict=True)
         ]
         outcomes = score_predictions(first, files, plan.pairs, predictions)
-    results = [
-        _result(request, plan, those, scored) for request, those, scored in zip(requests, found, outcomes, strict=True)
-    ]
-    return [replace(result, notes=(*result.notes, *of_whites)) for result in results]
+    results = map(_make_result, requests, repeat(plan), found, outcomes)
+    return [replace(result, notes=(*result.notes, *white_notes)) for result in results]
 
 
-def _result(
+def _make_result(
     request: Request, plan: ScoringPlan, found: FoundPredictions, outcomes: Sequence[PairOutcome]
 ) -> EvaluationResult:
-    suspicions = suspicions_of([outcome.inspection for outcome in outcomes if outcome.inspection is not None])
-    refused = (
-        [EvaluationProblem(str(request.predictions), str(suspicion)) for suspicion in suspicions]
-        if request.strict
-        else []
-    )
+    suspicions = find_suspicions([outcome.inspection for outcome in outcomes if outcome.inspection is not None])
+    refused = [
+        EvaluationProblem(str(request.predictions), str(suspicion)) for suspicion in suspicions if request.strict
+    ]
     problems = [*found.problems, *(problem for outcome in outcomes for problem in outcome.problems)]
     scores = {outcome.path: outcome.score for outcome in outcomes if outcome.score is not None}
     if refused or (problems and not request.allow_missing):
         scores = {}
-    provenance = provenance_of(request, plan, outcomes)
-    result = EvaluationResult.of(request.protocol, provenance, plan.pairs, scores, [*refused, *problems])
-    result = replace(result, suspicions=suspicions)
-    notes = notes_of(request.protocol, plan, found, result, [outcome for outcome in outcomes if outcome.path in scores])
-    return replace(result, notes=(*shading_notes(request), *notes))
+    provenance = collect_provenance(request, plan, outcomes)
+    scored = tuple(scores[pair.path] for pair in plan.pairs if pair.path in scores)
+    kind = kind_of(request.kind, provenance)
+    result = EvaluationResult(
+        protocol=request.protocol,
+        provenance=provenance,
+        scores=scored,
+        table=table_of(plan.pairs, scored, kind, request.manifest.name),
+        expected=len(plan.pairs),
+        missing=tuple(pair.name for pair in plan.pairs if pair.path not in scores),
+        problems=(*refused, *problems),
+        notes=(),
+        suspicions=suspicions,
+        units=plan.pairs,
+    )
+    notes = write_notes(request, plan, found, result, [outcome for outcome in outcomes if outcome.path in scores])
+    return replace(result, notes=(*write_shading_notes(request), *notes))
 
 
 def _find_predictions(request: Request, plan: ScoringPlan) -> FoundPredictions:
-    """Find the predictions of what is scored; a baseline has none."""
+    """Find the prediction of each frame to score; a baseline has none."""
     if request.predictions is None:
         return FoundPredictions({}, (), 0)
     set_aside, because = plan.facts.get("set_aside"), ""
@@ -256,9 +328,8 @@ def _find_predictions(request: Request, plan: ScoringPlan) -> FoundPredictions:
     return find_predictions(
         request.predictions,
         [pair.place(frame) for pair in plan.pairs for frame in pair.frames],
-        known_places(request),
-        references={pair.reference: pair.path for pair in reversed(plan.pairs) if isinstance(pair, PairRecord)},
-        elsewhere=partial(places_elsewhere, request),
+        list_places(request),
+        elsewhere=partial(list_places_elsewhere, request),
         dataset=(request.folder, [row.path for row in request.manifest.records]),
         allow_missing=request.allow_missing,
         because=because,
@@ -273,7 +344,7 @@ _USUAL_WHITE = 0.02
 _USUAL_RESCALE = (1 / 3, 3.0)
 
 
-def shading_notes(request: Request) -> list[str]:
+def write_shading_notes(request: Request) -> list[str]:
     """Describe the dark shading that was subtracted from the inputs, or is stated to be."""
     if request.dark_shading is None:
         return []
@@ -281,20 +352,17 @@ def shading_notes(request: Request) -> list[str]:
     which = f"the dark shading of {shading.camera}, {shading.digest} ({shading.source})"
     if request.predictions is None:
         return [f"the input was scored less {which}"]
-    stated = stated_shading(request.predictions)  # which the request was held against
+    stated = stated_setting(request.predictions, "dark_shading")  # which the request was held against
     said = "stated with --dark-shading" if stated is None else f"{SETTINGS} says"
     return [f"the predictions are, as {said}, of inputs less {which}"]
 
 
-def notes_of(
-    protocol: Protocol,
-    plan: ScoringPlan,
-    found: FoundPredictions,
-    result: EvaluationResult,
+def write_notes(
+    request: Request, plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult,
     outcomes: Sequence[PairOutcome],
-) -> list[str]:
-    """Return the notes for readers of a table: on its pairs, predictions, levels and factors."""
-    notes, scores = [], result.scores
+) -> list[str]:  # fmt: skip
+    """Write notes for readers of a table: on its pairs, predictions, levels and factors."""
+    notes, scores, protocol = [], result.scores, request.protocol
     if set_aside := plan.facts.get("set_aside"):
         factors = ", ".join(f"x{ratio:g}" for ratio in plan.facts["ratios"])
         notes.append(f"this set's own pairs are scored ({factors}), not those of the protocol: {', '.join(set_aside)}")
@@ -309,7 +377,7 @@ def notes_of(
             f"LibRaw has no white level per channel of the references of {len(bare)} pairs, such as that of {bare[0]}: "
             "the file's one white level was taken"
         )
-    notes += _white_level_notes(outcomes)
+    notes += _write_white_notes(outcomes)
     levels = protocol.levels
     same = {"metadata", "published"} & set(result.provenance["equal_choices"].get("levels", ()))
     if scores and levels in ONE_CAMERAS_LEVELS and not same:
@@ -327,15 +395,15 @@ def notes_of(
             f"rescaled by less than {low:.2g} or more than {high:g}: {len(odd)} of {len(scores)} predictions, such as "
             f"{odd[0].name} by {odd[0].rescale:.3g}; is their scale that of the reference?"
         )
-    perfect = [score.name for score in scores if score.psnr_db == float("inf")]
-    if perfect and not result.kind.is_of_clips:
-        notes.append(f"equal to their reference exactly: {len(perfect)} predictions, such as {perfect[0]}")
-    elif perfect:
-        notes.append(f"with a frame that equals the reference exactly: {len(perfect)} videos, such as {perfect[0]}")
+    if perfect := [score.name for score in scores if score.psnr_db == float("inf")]:
+        what, units = "equal to their reference exactly", "predictions"
+        if result.kind.is_of_clips:
+            what, units = "with a frame that equals the reference exactly", "videos"
+        notes.append(f"{what}: {len(perfect)} {units}, such as {perfect[0]}")
     return notes
 
 
-def _white_level_notes(outcomes: Sequence[PairOutcome]) -> list[str]:
+def _write_white_notes(outcomes: Sequence[PairOutcome]) -> list[str]:
     """Name the cameras whose files saturate at another level than the protocol divides by, in one line."""
     found: dict[str, set[float]] = {}
     taken_dn = 0.0
@@ -355,7 +423,7 @@ def _white_level_notes(outcomes: Sequence[PairOutcome]) -> list[str]:
     return [f"the files of {whose}, and the protocol divides by {taken_dn:g}: {own}"]
 
 
-def provenance_of(request: Request, plan: ScoringPlan, outcomes: Sequence[PairOutcome]) -> dict[str, Any]:
+def collect_provenance(request: Request, plan: ScoringPlan, outcomes: Sequence[PairOutcome]) -> dict[str, Any]:
     """Collect the facts that a result depends on: versions, manifest, the protocol's digest, the choice of pairs."""
     import rawpy
 
@@ -380,3 +448,77 @@ def provenance_of(request: Request, plan: ScoringPlan, outcomes: Sequence[PairOu
         **({} if request.dark_shading is None else {"dark_shading": request.protocol.dark_shading}),
         **({} if request.task is None else {"task": request.task.provenance}),
     }
+
+
+# --- several methods: their names, comparison and files ---------------------------------------------------------------
+
+
+def name_folders(folders: Sequence[Path], names: Sequence[str] = ()) -> dict[str, Path]:
+    """Return folders by the names of their methods, by default their own.
+
+    Raises
+    ------
+    ArgumentError
+        If there is none, two have one name, a name cannot be that of a file, or there are not as many names as folders.
+    """
+    if not folders:
+        raise ArgumentError("expected one folder of predictions or more, found none")
+    if names and len(names) != len(folders):
+        raise ArgumentError(
+            f"expected one name (--name) per folder, or none; found {len(names)} for {len(folders)} folders"
+        )
+    named: dict[str, Path] = {}
+    taken = {COMPARISON: "the comparison"}
+    for folder, name in zip(folders, names or [folder.resolve().name for folder in folders], strict=True):
+        if not name or "/" in name or name.startswith(".") or path_problem(name) is not None:
+            raise ArgumentError(f"{folder}: {name!r} cannot be the name of a file; give it another with --name")
+        if name.casefold() in taken:
+            raise ArgumentError(
+                f"{taken[name.casefold()]} and {folder} would both be called {name!r}; give each a --name, in the "
+                "order of the folders"
+            )
+        taken[name.casefold()] = str(folder)
+        named[name] = folder
+    return named
+
+
+def compare_methods(results: Mapping[str, EvaluationResult]) -> tuple[Comparison | None, str]:
+    """Compare the methods that have scores with the first of them; of several, say why where it cannot be done."""
+    scored = {name: result for name, result in results.items() if result.scored}
+    if len(results) < 2:
+        return None, ""
+    if len(scored) < 2:
+        who = f"{next(iter(scored))} alone has" if scored else "no method has"
+        return None, f"there is nothing to compare: {who} scores"
+    try:
+        return compare(scored), ""
+    except EldataError as error:
+        return None, str(error)
+
+
+def make_results_folder(folder: Path, names: Iterable[str]) -> None:
+    """Make the folder of results, before there are any.
+
+    Raises
+    ------
+    ArgumentError
+        If it cannot be made, or a file cannot be written in it.
+    """
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ArgumentError(f"cannot write {folder}: {error.strerror}; give a folder, in one that is there") from error
+    for name in (*(f"{name}.json" for name in names), f"{COMPARISON}.json"):
+        problem = write_problem(folder / name)
+        if problem is not None:
+            raise ArgumentError(f"cannot write {folder / name}: {problem}")
+
+
+def write_results(folder: Path, results: Mapping[str, EvaluationResult], comparison: Comparison | None) -> None:
+    """Write NAME.json and NAME.csv of each method, and comparison.json; each whole or not at all."""
+    remove_leftovers(folder)
+    for name, result in results.items():
+        result.write_json(folder / f"{name}.json")
+        result.write_csv(folder / f"{name}.csv")
+    if comparison is not None:
+        write_json(folder / f"{COMPARISON}.json", comparison.as_dict())

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from eldata.errors import ArgumentError, PredictionError
-from eldata.evaluation.layouts import find_predictions
+from eldata.evaluation.predictions import find_predictions
 from eldata.evaluation.request import make_request, plan_scoring, require_folder
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
-from eldata.evaluation.score import Scoring, as_scored, read_input, read_prediction, read_reference
-from eldata.evaluation.scores import FrameScore, cameras_in_order, natural
+from eldata.evaluation.score import Scoring, read_input, read_prediction, read_reference, treat_prediction
+from eldata.evaluation.scores import FrameScore, cameras_in_order, natural, short_digest
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
 from eldata.isp.rendering import brightening, preview
 from eldata.manifest.catalogue import FrameFiles
@@ -132,7 +132,7 @@ class ScoredImage:
         for frame, file, protocol in zip(self.frames, self.files, self.protocols, strict=True):
             values, _ = read_prediction(self._scoring(protocol), self.pair, frame.path, file, reference)
             factor = 1.0 if math.isnan(frame.rescale) else frame.rescale
-            predictions.append(as_scored(values, protocol.rules, factor, np.float32))
+            predictions.append(treat_prediction(values, protocol.rules, factor, np.float32))
         amplified: NDArray[Any] | None = None
         if first.pixels != "srgb" or first.is_of_packed:
             amplified, _ = read_input(self._scoring(first), self.pair, shown, reference[0])
@@ -171,7 +171,7 @@ class SeenImage:
     @cached_property
     def errors(self) -> tuple[NDArray[Any], ...]:
         """The absolute error of each method, mean over channels, (h, w)."""
-        return tuple(np.abs(one - self.reference).mean(axis=0) for one in self.predictions)
+        return tuple(np.abs(prediction - self.reference).mean(axis=0) for prediction in self.predictions)
 
     @cached_property
     def brighter(self) -> float:
@@ -227,13 +227,9 @@ def worst_and_best_images(
 
     Raises
     ------
-    ArgumentError
-        If the result was read back.
     PredictionError
         If a prediction is no longer there.
     """
-    if not isinstance(result.protocol, Protocol):
-        raise ArgumentError("pictures are of a result that was just computed; this one was read back")
     worst, best = worst_and_best(result.scores, each)
     ranked = [*(("Worst", score) for score in worst), *(("Best", score) for score in best)]
     images = images_of([result], [(score,) for _, score in ranked], predictions=[predictions], **where)
@@ -274,7 +270,7 @@ def images_of(
     known = {unit.path: unit for unit in results[0].units} if units is None else units
     files_of_set = FrameFiles(dataset_folder) if isinstance(dataset_folder, Path) else dataset_folder
     protocols, dataset = tuple(map(protocol_of, results)), files_of_set.absolute()
-    frames = [_frames_of(of_image) for of_image in scores]
+    frames = [_choose_frames(of_image) for of_image in scores]
     pairs = [known[of_image[0].path] for of_image in scores]
     places = [pair.place(shown[0].path) for pair, shown in zip(pairs, frames, strict=True)]
     files = [None if folder is None else find_predictions(folder, places).files for folder in predictions]
@@ -288,7 +284,7 @@ def images_of(
     return tuple(images)
 
 
-def _frames_of(scores: Sequence[UnitScore]) -> tuple[FrameScore, ...]:
+def _choose_frames(scores: Sequence[UnitScore]) -> tuple[FrameScore, ...]:
     """Return the frame that is shown, with each method's factor: of a clip the first method's worst."""
     first, *others = scores
     shown = worst_frame(first)
@@ -344,24 +340,21 @@ def units_again(
     ManifestError, DatasetError
         If it is malformed, or the dataset is not there.
     """
-    cameras, ids = result.provenance.get("cameras", "all"), result.provenance.get("ids")
+    stated = result.provenance
+    cameras, ids = stated.get("cameras", "all"), stated.get("ids")
+    chosen = {
+        "cameras": None if cameras == "all" else cameras,
+        "subset": stated.get("subset") if ids is None else None,
+        "ids": ids,
+    }
     # Which pairs there are does not depend on what was taken off their inputs.
     protocol = replace(protocol_of(result), dark_shading=NO_SHADING)
-    request = make_request(
-        Path(),
-        result.dataset,
-        protocol,
-        root=root,
-        manifest=manifest,
-        cameras=None if cameras == "all" else cameras,
-        subset=result.provenance.get("subset") if ids is None else None,
-        ids=ids,
-    )
-    stated = result.provenance["manifest_sha256"]
-    if request.manifest.digest != stated:
+    request = make_request(Path(), result.dataset, protocol, root=root, manifest=manifest, **chosen)
+    digest, wanted = request.manifest.digest, stated["manifest_sha256"]
+    if digest != wanted:
         raise ArgumentError(
-            f"{request.manifest.path} is not the manifest that {result.source} was scored with ({stated[:15]}, this "
-            f"is {request.manifest.digest[:15]}); give that one with --manifest"
+            f"{request.manifest.path} is not the manifest that {result.source} was scored with "
+            f"({short_digest(wanted)}, this is {short_digest(digest)}); give that one with --manifest"
         )
     require_folder(request)
     return request.files, {pair.path: pair for pair in plan_scoring(request).pairs}

@@ -1,7 +1,7 @@
 """The mistakes that a prediction may show on some blocks of its frame, and how each is undone.
 
-Three kinds: the channels' order and the place of values (:func:`best_place`); curves between the true values and the
-predicted ones (:func:`best_curve`); the noisy input's own values (:func:`is_copied_input`).
+Three kinds: the channels' order and the place of values (:func:`find_place`); curves between the true values and the
+predicted ones (:func:`find_curve`); the noisy input's own values (:func:`is_copied_input`).
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class Blocks:
         return np.stack(parts, axis=2).astype(np.float32, copy=False)
 
 
-def inner_entries(blocks: Array, down: int = 0, right: int = 0) -> Array:
+def cut_margin(blocks: Array, down: int = 0, right: int = 0) -> Array:
     """Return the blocks without their margin, or what lies so far from there, (C, entries)."""
     side = blocks.shape[1] - 2 * MARGIN
     y, x = MARGIN + down, MARGIN + right
@@ -145,7 +145,7 @@ _USUAL_ORDERS: dict[int, tuple[tuple[int, ...], ...]] = {
 }
 
 
-def best_place(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstances) -> Undoing | None:
+def find_place(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstances) -> Undoing | None:
     """Return the order or shift with the least error on the blocks, if it is worth trying.
 
     Parameters
@@ -165,7 +165,7 @@ def best_place(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstance
 
     error_now = math.inf
     candidates: list[tuple[float, Undoing]] = []
-    for words, moved, undo, least_db in _moves(p, now):
+    for words, moved, undo, least_db in _list_shifts(p, now):
         values = moved if math.isinf(high) else np.clip(moved, np.float32(low), np.float32(high))
         power = float(np.vdot(values, values))
         error = squared_error(float(np.vdot(values, g)), power)
@@ -179,34 +179,34 @@ def best_place(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstance
         for order in _orders(agreement):
             error = squared_error(float(agreement[np.arange(len(order)), order].sum()), power)
             both = " and ".join(filter(None, (words, _order_words(order, now.sensor))))
-            candidates.append((error, (f"as if {both}", _reordered(order, undo), GAIN_DB)))
+            candidates.append((error, (f"as if {both}", _undo_order(order, undo), GAIN_DB)))
     least = min(error for error, _ in candidates)
     if least * 10 ** (_SCREENED_GAIN_DB / 10) > error_now:
         return None
     return next(undoing for error, undoing in candidates if error <= _ALIKE * least)
 
 
-def _moves(p: NDArray[np.float32], now: Circumstances) -> Iterator[tuple[str, Array, Change | None, float]]:
-    """Yield where the values may lie, likelier places first: words, the blocks moved back, what undoes it, its gain."""
-    yield "", inner_entries(p), None, GAIN_DB
+def _list_shifts(p: NDArray[np.float32], now: Circumstances) -> Iterator[tuple[str, Array, Change | None, float]]:
+    """Yield possible shifts, likelier ones first: words, the blocks moved back, the remedy, its gain."""
+    yield "", cut_margin(p), None, GAIN_DB
     steps, unit = range(-MARGIN, MARGIN + 1), "pixels" if now.sensor is None else "packed pixels"
     for down, right in product(steps, steps):
         if (down, right) != (0, 0):
             words = f"shifted by ({down}, {right}) {unit} (down, right)"
-            yield words, inner_entries(p, down, right), _shifted_back(down, right), SHIFT_GAIN_DB
+            yield words, cut_margin(p, down, right), _undo_shift(down, right), SHIFT_GAIN_DB
     if now.sensor is not None:
         cfa, flat = packing_sites(now.sensor.cfa).cfa, p.ravel()  # as the packed area has it
-        for (down, right), entries in _entries_in_mosaic(cfa, p.shape).items():
+        for (down, right), entries in _list_mosaic_entries(cfa, p.shape).items():
             words = f"shifted by ({down}, {right}) pixels of the mosaic (down, right)"
-            yield words, flat[entries], _mosaic_shifted_back(down, right, cfa), SHIFT_GAIN_DB
+            yield words, flat[entries], _undo_mosaic_shift(down, right, cfa), SHIFT_GAIN_DB
 
 
 @lru_cache(maxsize=4)
-def _entries_in_mosaic(cfa: CfaRows, shape: tuple[int, ...]) -> dict[tuple[int, int], NDArray[np.intp]]:
+def _list_mosaic_entries(cfa: CfaRows, shape: tuple[int, ...]) -> dict[tuple[int, int], NDArray[np.intp]]:
     """Return the entries of blocks that lie inside when the mosaic is moved by a pixel, which changes colours too."""
     mosaic = unpack(np.arange(math.prod(shape), dtype=np.float64).reshape(*shape[:2], -1), cfa)
     return {
-        (down, right): inner_entries(pack(np.roll(mosaic, (-down, -right), (0, 1)), cfa).reshape(shape)).astype(np.intp)
+        (down, right): cut_margin(pack(np.roll(mosaic, (-down, -right), (0, 1)), cfa).reshape(shape)).astype(np.intp)
         for down, right in product((-1, 0, 1), repeat=2)
         if (down, right) != (0, 0)
     }
@@ -239,13 +239,13 @@ def _order_words(order: Sequence[int], sensor: Sensor | None) -> str:
     return f"packed in the order {', '.join(map(str, order))} of its channels"
 
 
-def _reordered(order: Sequence[int], first: Change | None) -> Change:
+def _undo_order(order: Sequence[int], first: Change | None) -> Change:
     """Return the function that puts channels back into order, after another change is undone."""
     back = np.argsort(np.array(order))
     return lambda image: (image if first is None else first(image))[back]
 
 
-def _shifted_back(down: int, right: int) -> Change:
+def _undo_shift(down: int, right: int) -> Change:
     """Return the function that moves an image back, mirrored at the edges, which keeps a mosaic's phase."""
 
     def undo(image: Array) -> Array:
@@ -258,8 +258,8 @@ def _shifted_back(down: int, right: int) -> Change:
     return undo
 
 
-def _mosaic_shifted_back(down: int, right: int, cfa: CfaRows) -> Change:
-    back = _shifted_back(down, right)
+def _undo_mosaic_shift(down: int, right: int, cfa: CfaRows) -> Change:
+    back = _undo_shift(down, right)
     return lambda image: pack(back(unpack(np.ascontiguousarray(image), cfa)), cfa)
 
 
@@ -291,7 +291,7 @@ class _Curve:
     remains: float = _REMAINS
 
     def is_scale_within(self, factor: float) -> bool:
-        """Tell whether the curve is only a factor, and nearer to 1 than this."""
+        """Whether the curve is a mere factor, nearer to 1 than this one."""
         return self.scale is not None and 1 / factor < self.scale < factor
 
 
@@ -318,7 +318,7 @@ def _factor(words: str, scale: float) -> _Curve:
     return _Curve(words, lambda t: scale * t, lambda p: 1 / scale * p, scale)
 
 
-def _levels_taken(now: Circumstances, sensor: Sensor) -> tuple[float, tuple[float, ...]]:
+def _find_levels(now: Circumstances, sensor: Sensor) -> tuple[float, tuple[float, ...]]:
     """Return black and white in DN, as the protocol has them; after the white those that may be taken instead."""
     levels = now.protocol.levels
     leveled = with_levels(sensor, "metadata" if levels == "metadata-per-channel" else levels)
@@ -337,7 +337,7 @@ def _curves(now: Circumstances) -> Iterator[_Curve]:
     yield _line("as if in [-1, 1], not in [0, 1]", 2, -1)
     if now.sensor is None:
         return
-    black, whites = _levels_taken(now, now.sensor)
+    black, whites = _find_levels(now, now.sensor)
     span = whites[0] - black
     if black > 0:
         for white in whites:
@@ -356,7 +356,7 @@ def _curves(now: Circumstances) -> Iterator[_Curve]:
         yield _Curve("as if amplified twice", lambda t: np.clip(t * ratio, 0, 1), None)
 
 
-def best_curve(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstances) -> Undoing | None:
+def find_curve(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstances) -> Undoing | None:
     """Return the mistake on whose curve the mean predictions lie, by level of the reference."""
     rescales = now.protocol.rules.rescaling != "none"
     response = _Response(_cell_means(g))
@@ -424,7 +424,7 @@ _SAME_ERRORS = 0.99
 
 
 def is_copied_input(p: NDArray[np.float32], g: NDArray[np.float32], blocks: Blocks, now: Circumstances) -> bool:
-    """Tell whether a prediction is the amplified noisy input: of whole DN, and with the input's errors.
+    """Recognise the amplified noisy input: values are whole DN, and errors are the input's.
 
     Parameters
     ----------
@@ -434,18 +434,18 @@ def is_copied_input(p: NDArray[np.float32], g: NDArray[np.float32], blocks: Bloc
     if not _is_of_whole_dn(p, now):
         return False
     amplified = blocks.cut(now.amplified())
-    errors: Array = np.stack([np.clip(inner_entries(image), 0, 1) - g for image in (p, amplified)]).reshape(2, -1)
+    errors: Array = np.stack([np.clip(cut_margin(image), 0, 1) - g for image in (p, amplified)]).reshape(2, -1)
     return bool(np.corrcoef(errors)[0, 1] > _SAME_ERRORS)
 
 
 def _is_of_whole_dn(p: NDArray[np.float32], now: Circumstances) -> bool:
-    """Tell whether values, divided by the factor, are whole DN; this spares reading most noisy files."""
+    """Check whether values divided by the factor are whole DN, before a noisy file is read."""
     if now.sensor is None or now.ratio is None or now.ratio < _LEAST_RATIO:
         return False
     values = p[(p > 0) & (p < 1)][: 8 * _LEAST_VALUES].astype(np.float64)
     if values.size < _LEAST_VALUES:
         return False
-    black, whites = _levels_taken(now, now.sensor)
+    black, whites = _find_levels(now, now.sensor)
     for white in whites:
         steps = values * ((white - black) / now.ratio)
         steps -= np.rint(steps)

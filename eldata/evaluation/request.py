@@ -114,11 +114,6 @@ class Request:
                 seconds += _BYTE_S * (self.folder / pair.path).stat().st_size
         return self.workers if seconds > _WORTH_S else IN_THIS_PROCESS
 
-    @property
-    def is_own(self) -> bool:
-        """Whether the set is the user's own: it does not come with the package, nor has it a protocol of clips."""
-        return _is_own(self.manifest)
-
 
 def make_request(
     predictions: Path | str | None, dataset: str, protocol: str | Path | Protocol | None, *,
@@ -141,7 +136,7 @@ def make_request(
         manifest=known,
         folder=known.folder(root),
         predictions=None if predictions is None else Path(predictions),
-        protocol=_of_inputs(_protocol(protocol, known), dark_shading),
+        protocol=_state_shading(_protocol(protocol, known), dark_shading),
         cameras=cameras,
         subset=subset,
         ids=ids,
@@ -170,7 +165,8 @@ def make_request(
     return request
 
 
-def _is_own(manifest: Manifest) -> bool:
+def is_own(manifest: Manifest) -> bool:
+    """Tell whether a set is the user's own: not shipped with the package, and without a protocol of clips."""
     default = default_protocol(manifest.card)
     return manifest.name not in shipped_names() and (default.kind is IMAGES or not default.covers(manifest.name))
 
@@ -180,12 +176,12 @@ def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Pro
 
     A set of one's own may be scored by any protocol of images, and as sequences.
     """
-    default, is_own = default_protocol(manifest.card), _is_own(manifest)
+    default, owned = default_protocol(manifest.card), is_own(manifest)
     if isinstance(protocol, (str, Path)):
-        protocol = get_protocol(protocol, manifest.name, own=is_own)
+        protocol = get_protocol(protocol, manifest.name, own=owned)
     chosen = protocol or default
     chosen.check()
-    if is_own and (chosen.kind is IMAGES or chosen.dataset == OWN_SEQUENCES):
+    if owned and (chosen.kind is IMAGES or chosen.dataset == OWN_SEQUENCES):
         return chosen
     if chosen.kind is default.kind and chosen.covers(manifest.name):
         return chosen
@@ -196,8 +192,8 @@ def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Pro
     raise ArgumentError(f"protocol {chosen.name!r} {wrong}; its protocols are {own}")
 
 
-def _of_inputs(protocol: Protocol, shading: Path | str | None) -> Protocol:
-    """Return the protocol with what is taken off its input; if it states a dark shading, it is of that one alone."""
+def _state_shading(protocol: Protocol, shading: Path | str | None) -> Protocol:
+    """State the inputs' dark shading in the protocol; one that states its own takes no other."""
     digest = NO_SHADING if shading is None else dark_shading_in(Path(shading).absolute()).digest
     if protocol.dark_shading not in (NO_SHADING, digest):
         found = "none was given" if shading is None else f"{shading} is {digest}"
@@ -208,17 +204,11 @@ def _of_inputs(protocol: Protocol, shading: Path | str | None) -> Protocol:
     return replace(protocol, dark_shading=digest)
 
 
-def stated_shading(folder: Path) -> str | None:
-    """Return the digest of the dark shading that a folder's own file says its predictions are of inputs less.
+def stated_setting(folder: Path, name: str) -> str | None:
+    """Read a setting from a folder's own file, which says how its predictions were made; None without such a file.
 
-    ``"none"``: it says that they are of inputs as they are. ``None``: it says nothing, since there is no such file, or
-    one of another origin.
+    ``dark_shading`` is the digest of what was subtracted from the inputs, or ``"none"``.
     """
-    return _stated(folder, "dark_shading")
-
-
-def _stated(folder: Path, name: str) -> str | None:
-    """Return a text of a folder's own file, if it has one."""
     file = folder / SETTINGS
     if not file.is_file():
         return None
@@ -234,13 +224,13 @@ def _check_inputs(request: Request, folder: Path) -> None:
     protocol = request.protocol
     if protocol.is_of_packed and protocol.pixels == "srgb":
         for name in ("input_space", "response"):
-            stated, wanted = _stated(folder, name), in_words(name, getattr(protocol, name))
+            stated, wanted = stated_setting(folder, name), in_words(name, getattr(protocol, name))
             if stated not in (None, wanted):
                 raise ArgumentError(
                     f"{folder / SETTINGS} says of these predictions {FIELDS[name][0]}: {stated}, and protocol "
                     f"{protocol.name!r} has {wanted} ({name}); give the protocol that they were made under"
                 )
-    stated, digest = stated_shading(folder), protocol.dark_shading
+    stated, digest = stated_setting(folder, "dark_shading"), protocol.dark_shading
     if stated in (None, digest):
         return
     said, advice = f"inputs less the dark shading {stated}", "give that one with --dark-shading"
@@ -285,7 +275,7 @@ class ScoringPlan:
     facts: dict[str, Any] = field(default_factory=dict)
 
 
-def known_places(request: Request) -> list[str]:
+def list_places(request: Request) -> list[str]:
     """Return the places of predictions of all noisy frames of the dataset."""
     noisy = [record for record in request.manifest.records if record.role == "noisy"]
     if request.kind is IMAGES:
@@ -293,13 +283,13 @@ def known_places(request: Request) -> list[str]:
     return [clip_place(row.scene, row.path) for row in expand(noisy, request.folder)]
 
 
-def places_elsewhere(request: Request) -> dict[str, list[str]]:
+def list_places_elsewhere(request: Request) -> dict[str, list[str]]:
     """Return the places of predictions of other sets of images that come with the package, by the sets' names.
 
     One folder may hold those of several, such as of SID's two cameras. Of a set of your own every prediction that is
     not its own is a mistake.
     """
-    if request.is_own or request.kind is not IMAGES:
+    if is_own(request.manifest) or request.kind is not IMAGES:
         return {}
     others = [name for name in shipped_names() if name != request.manifest.name]
     return {
@@ -336,7 +326,7 @@ def plan_scoring(request: Request, *, unscored: bool = False) -> ScoringPlan:
 
 
 def _check_shading(protocol: Protocol, pairs: Sequence[Pair], shading: DarkShading) -> None:
-    """Raise :class:`ArgumentError` unless a dark shading can be that of all inputs, as far as the manifest knows."""
+    """Refuse a dark shading that cannot fit all inputs, as far as the manifest knows them."""
     if protocol.pixels == "rgb":
         raise ArgumentError(
             f"protocol {protocol.name!r} scores preprocessed RGB, whose dark shading nobody can take off; leave "
@@ -358,8 +348,8 @@ def _check_shading(protocol: Protocol, pairs: Sequence[Pair], shading: DarkShadi
 def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> ScoringPlan:
     records, subsets = request.manifest.records, request.manifest.card.subsets
     set_aside: list[str] = []
-    if request.is_own:
-        protocol, set_aside = _choice_of_own(request, protocol)
+    if is_own(request.manifest):
+        protocol, set_aside = _set_choice_aside(request, protocol)
     _check_choice(request, protocol)
     subset = protocol.subset or request.subset or (subsets[0].name if subsets else None)
     if unscored and subset is not None:
@@ -378,8 +368,8 @@ def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> Scoring
     return ScoringPlan(pairs, facts | flags)
 
 
-def _choice_of_own(request: Request, protocol: Protocol) -> tuple[Protocol, list[str]]:
-    """Return the protocol with what it chooses of a set of the user's own, and in words what is set aside.
+def _set_choice_aside(request: Request, protocol: Protocol) -> tuple[Protocol, list[str]]:
+    """Drop the parts of a protocol's choice that do not apply to the user's own set; name them in words.
 
     A shipped protocol chooses cameras, scenes and subset of a published set, which are set aside. So they are in a file
     that has them from its base, unless the set has them all; what the file states itself is applied, or refused.
@@ -441,7 +431,7 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
     manifest, subsets, subset = request.manifest, request.manifest.card.subsets, None
     if request.ids is None and subsets:
         subset = request.subset or subsets[0].name
-    elif request.ids is None and not request.is_own:
+    elif request.ids is None and not is_own(request.manifest):
         raise ArgumentError(f"{manifest.path}: its card names no subset; name the clips: {OF_CLIPS}")
     paired = {row.split for row in manifest.records if row.role == "reference"}
     candidates, rows = (

@@ -30,10 +30,8 @@ from eldata.evaluation.scores import (
     finite_values,
     grouped_table,
     json_object,
-    nothing_scored,
     problem_lines,
     short_digest,
-    table_of,
 )
 from eldata.evaluation.tasks import stated_figure
 from eldata.metrics.registry import CLIPS, IMAGES
@@ -41,7 +39,7 @@ from eldata.protocols.protocol import CHOOSING, NO_SHADING, OF_INPUT, StatedProt
 from eldata.protocols.words import comparability
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     import pandas as pd
@@ -105,29 +103,6 @@ class EvaluationResult:
     suspicions: tuple[Suspicion, ...] = ()
     units: tuple[Pair, ...] = ()
     source: str = "this evaluation"
-
-    @classmethod
-    def of(
-        cls,
-        protocol: Protocol,
-        provenance: dict[str, Any],
-        units: Sequence[Pair],
-        scores: Mapping[str, UnitScore],
-        problems: Iterable[EvaluationProblem] = (),
-    ) -> EvaluationResult:
-        """Return the result of scoring these pairs or windows; ``scores`` are by their paths."""
-        found = tuple(scores[unit.path] for unit in units if unit.path in scores)
-        return cls(
-            protocol=protocol,
-            provenance=provenance,
-            scores=found,
-            table=table_of(units, found, kind_of(protocol.kind, provenance), provenance["dataset"]),
-            expected=len(units),
-            missing=tuple(unit.name for unit in units if unit.path not in scores),
-            problems=tuple(problems),
-            notes=(),
-            units=tuple(units),
-        )
 
     # --- what is in it ------------------------------------------------------------------------------------------------
 
@@ -280,18 +255,15 @@ class EvaluationResult:
         lines += [f"\n{markdown_text(str(suspicion))}" for suspicion in self.suspicions]
         return "\n".join([*lines, *(f"\nNote: {markdown_text(note)}" for note in self.notes)])
 
-    def format_table(self) -> str:
-        """Return the table as aligned text, as the papers print it."""
-        table = self.paper_table
-        return text_table(table.header, table.rows, table.left)
-
     def format_text(self) -> str:
         """Return problems, the table with its protocol and coverage, and notes as text."""
         lines = problem_lines(self.problems)
         if lines and not self.scores:
-            return "\n".join([*lines, nothing_scored(self.problems)])
+            return "\n".join([*lines, f"nothing was scored: {counted(len(self.problems), 'problem')}"])
+        table = self.paper_table
         lines += [""] * bool(lines)
-        lines += [f"{self.dataset}, protocol {self.protocol.name}: {self.coverage}", "", self.format_table(), ""]
+        lines += [f"{self.dataset}, protocol {self.protocol.name}: {self.coverage}", ""]
+        lines += [text_table(table.header, table.rows, table.left), ""]
         if self.missing:
             lines.append(
                 f"INCOMPLETE: {len(self.missing)} {self.kind.counted} are not in these means, so they do not compare "
@@ -513,6 +485,6 @@ def _number(value: Any) -> float:
 
 
 def _release(version: str) -> tuple[int, ...]:
-    """Return major and minor version; (0,) for what is not a version."""
+    """Parse major and minor version; (0,) of other text."""
     parts = version.split(".")[:2]
     return tuple(int(part) for part in parts) if all(part.isdecimal() for part in parts) else (0,)

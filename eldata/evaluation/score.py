@@ -17,8 +17,8 @@ import numpy as np
 from eldata.base.fields import named_object
 from eldata.base.files import inside
 from eldata.base.workers import Failed, require_files
-from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, PredictionError, ShadingError
-from eldata.evaluation.diagnosis import Inspection, chosen_frames, mistake_in, sketch
+from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, PredictionError
+from eldata.evaluation.diagnosis import Inspection, choose_frames, find_mistake, sketch
 from eldata.evaluation.mistakes import Circumstances
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
@@ -78,13 +78,12 @@ class Scoring:
     @property
     def opener(self) -> PairOpener:
         """Opens pairs as the protocol states, with its dark shading."""
-        stated, path, protocol = self.protocol.dark_shading, self.dark_shading, self.protocol
-        if path is None and stated != NO_SHADING:
-            raise ArgumentError(f"the dark shading {stated} is subtracted from the inputs; its file is needed")
+        path, stated = self.dark_shading, self.protocol.dark_shading
         shading = None if path is None else dark_shading_in(path)
-        if path is not None and shading is not None and shading.digest != stated:
-            raise ShadingError(path, f"is {shading.digest}, and was {stated} as the evaluation began: was it replaced?")
-        return PairOpener(Files(self.files), protocol.levels, protocol.amplification, shading)
+        digest = NO_SHADING if shading is None else shading.digest
+        if digest != stated:
+            raise ArgumentError(f"inputs are less the dark shading {stated}, and {path or 'no file'} is {digest}")
+        return PairOpener(Files(self.files), self.protocol.levels, self.protocol.amplification, shading)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,8 +154,8 @@ def score_predictions(
         What a unit raised that is neither an :class:`~eldata.errors.EldataError` nor an :class:`OSError`, and so no
         problem of the data; a note names the unit.
     """
-    how = _scoring_of(request, files)
-    inspected = chosen_frames((pair.path, pair.camera, pair.nominal_ratio, float(pair.iso or 0)) for pair in pairs)
+    how = _prepare_scoring(request, files)
+    inspected = choose_frames((pair.path, pair.camera, pair.nominal_ratio, float(pair.iso or 0)) for pair in pairs)
     outcomes: list[dict[str, PairOutcome]] = [{} for _ in predictions]
     units = _plan_units(how.files, pairs, predictions)
     work = partial(_score_unit, replace(how, files=how.files.only(())), inspected)  # each unit brings its own files
@@ -174,7 +173,7 @@ def score_predictions(
                 for number, by_place in unit.predictions.items():
                     for pair in unit.pairs:
                         if _is_whole(pair, by_place):
-                            outcomes[number][pair.path] = _without_reference(pair, result.reason)
+                            outcomes[number][pair.path] = _report_reference(pair, result.reason)
             else:
                 error.add_note(f"while the predictions for the reference {unit} were scored")
                 raise error
@@ -182,7 +181,7 @@ def score_predictions(
     return [[by_path[pair.path] for pair in pairs if pair.path in by_path] for by_path in outcomes]
 
 
-def _scoring_of(request: Request, files: FrameFiles) -> Scoring:
+def _prepare_scoring(request: Request, files: FrameFiles) -> Scoring:
     threads = request.workers.threads_within
     return Scoring(files.absolute(), request.protocol, request.dark_shading, request.task, threads)
 
@@ -205,11 +204,11 @@ def _plan_units(files: FrameFiles, pairs: Sequence[Pair], predictions: Sequence[
 
 
 def _is_whole(pair: Pair, predictions: Predictions) -> bool:
-    """Tell whether each frame of a pair has its prediction."""
+    """Check that each frame of a pair has a prediction."""
     return predictions is None or all(pair.place(frame) in predictions for frame in pair.frames)
 
 
-def _without_reference(pair: Pair, reason: str) -> PairOutcome:
+def _report_reference(pair: Pair, reason: str) -> PairOutcome:
     problem = EvaluationProblem(pair.path, f"its reference {pair.reference} cannot be used: {reason}")
     return PairOutcome(pair.path, problems=[problem])
 
@@ -241,11 +240,11 @@ def _keep_last(how: Scoring) -> Callable[[str], Reference]:
     return read
 
 
-def compared_images(
+def yield_compared(
     request: Request, files: FrameFiles, pairs: Sequence[Pair], predictions: Predictions
 ) -> Iterator[tuple[Image, Image, Pair]]:
     """Yield prediction and reference that the score of each pair is of, of a window of a clip the frames of both."""
-    how = _scoring_of(request, files)
+    how = _prepare_scoring(request, files)
     read = _keep_last(how)
     for pair in pairs:
         if not _is_whole(pair, predictions):
@@ -278,7 +277,7 @@ def _score_pair(
         try:
             reference = read(pair.reference_of(path) or "")
         except (ArgumentError, DatasetError, FileError) as error:
-            return _without_reference(pair, error.reason if isinstance(error, FileError) else str(error))
+            return _report_reference(pair, error.reason if isinstance(error, FileError) else str(error))
         try:
             prediction, source = read_prediction(how, pair, path, file, reference)
             score, others = _score_frame(how, path, prediction, reference)
@@ -341,7 +340,7 @@ def _keep_grey(
     if kept is None:
         size = target[crop].shape[1:]
         kept = np.empty((len(window.frames), *size)), np.empty((len(window.references) or 1, *size))
-    kept[0][place] = raw_to_grey(as_scored(prediction[crop], how.protocol.rules, factor, prediction.dtype))
+    kept[0][place] = raw_to_grey(treat_prediction(prediction[crop], how.protocol.rules, factor, prediction.dtype))
     if place < len(kept[1]):
         kept[1][place] = raw_to_grey(target[crop])
     return kept
@@ -404,7 +403,7 @@ def _inspect(
         amplified=lambda: read_input(how, pair, path, frame)[0],
     )
     try:
-        mistake = mistake_in(prediction, target, psnr_db, now)
+        mistake = find_mistake(prediction, target, psnr_db, now)
     except (FileError, DatasetError):  # the noisy file, which scoring does not need
         mistake = None
     return Inspection(path, pair.camera, pair.nominal_ratio, psnr_db, mistake, sketch(prediction), sketch(target))
@@ -428,7 +427,7 @@ def read_reference(how: Scoring, path: str) -> Reference:
 
 
 def read_input(how: Scoring, pair: Pair, path: str, frame: Frame) -> tuple[Image, Frame]:
-    """Decode a noisy frame beside its reference: (C, h, w), amplified, and the frame without its pixels."""
+    """Decode a noisy frame by its reference's levels: amplified (C, h, w), and the frame without its pixels."""
     opened = how.opener.open_pair(pair, frame, path)
     image = opened.input.normalise(how.protocol.input_clip, opened.gain)
     return _render_if_srgb(image, opened.input, how.protocol), opened.input.without_pixels()
@@ -501,7 +500,7 @@ def score_image(how: Scoring, frame: Frame, prediction: Image, target: Image) ->
 
     protocol, rules, crop = how.protocol, how.protocol.rules, how.protocol.crop(target.shape)
     factor = _find_factor(how, prediction, target)
-    if _is_rendered(protocol):  # the prediction was rescaled in raw, and codes are compared
+    if _compares_renderings(protocol):  # the prediction was rescaled in raw, and codes are compared
         codes = _render_codes(how, frame, prediction[crop], target[crop], factor)
         of_codes = replace(rules, rescaling="none", prediction_clamp="none", rounding="none", data_range=255.0)
         return replace(score_by(*codes, of_codes, threads=how.threads), rescale=factor)
@@ -516,8 +515,8 @@ def _find_factor(how: Scoring, prediction: Image, target: Image) -> float:
     return factor_by(prediction[part], target[part], how.protocol.rules, threads=how.threads)
 
 
-def _is_rendered(protocol: Protocol) -> bool:
-    """Tell whether raw predictions are compared as renderings."""
+def _compares_renderings(protocol: Protocol) -> bool:
+    """Check whether raw predictions are compared as renderings."""
     return protocol.rendering == "eld-isp" and protocol.pixels == "packed"
 
 
@@ -535,7 +534,7 @@ def _render_codes(
     """Render a packed raw prediction, rescaled in raw, and its reference: sRGB codes of 8 bits, (3, h, w)."""
     from eldata.isp.rendering import render_pair_for_scoring
 
-    treated = as_scored(prediction, how.protocol.rules, factor, np.float64)
+    treated = treat_prediction(prediction, how.protocol.rules, factor, np.float64)
     codes = render_pair_for_scoring(treated, target, _sensor_of(frame), response=how.protocol.curve)
     return codes[0].astype(np.float32), codes[1].astype(np.float32)
 
@@ -548,16 +547,16 @@ def treat_images(
 
     protocol, crop = how.protocol, how.protocol.crop(target.shape)
     p, g = prediction[crop], target[crop]
-    is_rendered = _is_rendered(protocol)
+    is_rendered = _compares_renderings(protocol)
     if protocol.pixels == "packed" and (images == "srgb" or (images == "compared" and is_rendered)):
         first, second = _render_codes(how, frame, p, g, factor)
         return first / np.float32(255), second / np.float32(255)
     if is_rendered:  # the rounding of its rules is that of renderings
-        return as_scored(p, protocol.rules, factor, np.float32), g
+        return treat_prediction(p, protocol.rules, factor, np.float32), g
     return as_compared(p, g, protocol.rules, factor)
 
 
-def as_scored(prediction: Image, rules: ScoringRules, factor: float, dtype: Any) -> Image:
+def treat_prediction(prediction: Image, rules: ScoringRules, factor: float, dtype: Any) -> Image:
     """Return a prediction clamped and multiplied as rules have it, (C, h, w); the arithmetic is float64."""
     from eldata.metrics.similarity import treated
 

@@ -1,4 +1,4 @@
-"""What is scored, images and windows of clips; their scores, what keeps others from having any, the table of means."""
+"""Scores of images and of windows of clips, problems that prevent a score, the table of means."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import re
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from eldata.base.numbers import counted
 from eldata.base.visible import in_line
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clips import ClipRecord
@@ -41,7 +40,7 @@ class EvaluationProblem:
 
 
 class Valued:
-    """Numbers by name, ``values``, of which the usual ones are attributes too."""
+    """Numbers by name, ``values``, with attributes for the usual ones."""
 
     __slots__ = ()
     values: Mapping[str, float]
@@ -156,7 +155,7 @@ def csv_number(value: object) -> object:
 
 
 def finite_values(scores: Iterable[UnitScore], name: str) -> tuple[float, ...]:
-    """Return a value, such as ``psnr_db``, of the scores in which it is finite."""
+    """List a value, such as ``psnr_db``, of the scores in which it is finite."""
     return tuple(score.values[name] for score in scores if math.isfinite(score.values[name]))
 
 
@@ -178,7 +177,7 @@ class TableRow(Valued):
     values: dict[str, float]
 
     def holds(self, score: UnitScore) -> bool:
-        """Tell whether a score belongs to this group."""
+        """Check whether a score belongs to this group."""
         return self.camera in (None, score.camera) and self.ratio in (None, score.ratio)
 
     @property
@@ -191,13 +190,13 @@ class TableRow(Valued):
         return self.coverage, *(m.format(self.values[m.name]) if self.scored else "-" for m in kind.metrics)
 
     def as_dict(self, kind: Kind) -> dict[str, Any]:
-        """Return it as plain types."""
+        """Return plain types."""
         return {"camera": self.camera, "ratio": self.ratio, kind.counted: self.pairs, "scored": self.scored} | (
             self.values
         )
 
 
-def groups_of(items: Sequence[tuple[str, float | None]], dataset: str = "") -> list[tuple[str | None, float | None]]:
+def list_groups(items: Sequence[tuple[str, float | None]], dataset: str = "") -> list[tuple[str | None, float | None]]:
     """Return the groups of a table over cameras and factors: camera by factor, each factor over all, and all.
 
     A set without factors, or with more than twelve, has each camera, if there are several, and all. Cameras come in the
@@ -220,7 +219,7 @@ def table_of(pairs: Sequence[Pair], scores: Sequence[UnitScore], kind: Kind, dat
     """Return the means over the groups of these pairs, of the dataset of this name."""
     keys = [(pair.camera, pair.nominal_ratio) for pair in pairs]
     rows = []
-    for camera, ratio in groups_of(keys, dataset):
+    for camera, ratio in list_groups(keys, dataset):
         empty = TableRow(camera, ratio, 0, 0, {})
         members = [score for score in scores if empty.holds(score)]
         count = sum(camera in (None, key[0]) and ratio in (None, key[1]) for key in keys)
@@ -321,8 +320,3 @@ def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
             lines += [in_line(f"{len(paths)} alike: {reason}"), names]
         shown += len(paths)
     return lines
-
-
-def nothing_scored(problems: Sequence[EvaluationProblem]) -> str:
-    """State in one line that nothing was scored."""
-    return f"nothing was scored: {counted(len(problems), 'problem')}"

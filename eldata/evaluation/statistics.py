@@ -3,7 +3,7 @@
 Images of one scene share what is in it, how it was lit and its one reference, so they err together: 24 images of 4
 scenes say about as much as 4 images, not 24. What several cameras photographed of one scene errs together too: four
 cameras on the same ten scenes say about as much as ten images. So what counts as one is a scene, of all cameras where
-they share their scenes (:func:`clusters_of`).
+they share their scenes (:func:`list_clusters`).
 
 The interval is Student's, with the deviation that the mean over images has when each scene is left out in turn
 (B. Efron, C. Stein: The jackknife estimate of variance, Annals of Statistics 9, 1981). Where scenes have equally many
@@ -96,7 +96,7 @@ class Difference:
     p_value: float
 
 
-def clusters_of(scores: Iterable[UnitScore], *, scenes_shared: bool) -> list[Hashable]:
+def list_clusters(scores: Iterable[UnitScore], *, scenes_shared: bool) -> list[Hashable]:
     """Return the cluster of each score, whose members err together: the scenes of this module.
 
     Parameters
@@ -116,14 +116,14 @@ def over_scenes(*, shared: bool) -> str:
 
 
 def interval_of_mean(values: Values, scenes: Sequence[Hashable]) -> Interval:
-    """Return the mean over images with its interval over scenes, :data:`LEVEL` of which are to hold the truth.
+    """Compute the mean over images and its interval over scenes; :data:`LEVEL` of such intervals hold the truth.
 
     Parameters
     ----------
     values
         One score per image.
     scenes
-        What each image is of, as :func:`clusters_of` says; images of one err together.
+        What each image is of, as :func:`list_clusters` says; images of one err together.
 
     Returns
     -------
@@ -150,8 +150,9 @@ def interval_of_mean(values: Values, scenes: Sequence[Hashable]) -> Interval:
 
 
 def interval_of_scores(scores: Sequence[UnitScore], name: str, *, scenes_shared: bool) -> Interval:
-    """Return the mean of a value, such as ``psnr_db``, over scores, with its interval over :func:`clusters_of` them."""
-    return interval_of_mean([score.values[name] for score in scores], clusters_of(scores, scenes_shared=scenes_shared))
+    """Compute the mean of a value, such as ``psnr_db``, over scores, with its interval over :func:`list_clusters`."""
+    values = [score.values[name] for score in scores]
+    return interval_of_mean(values, list_clusters(scores, scenes_shared=scenes_shared))
 
 
 def paired_difference(first: Values, second: Values, scenes: Sequence[Hashable]) -> Difference:

@@ -39,7 +39,7 @@ _LONGEST_LABEL = 40  # it heads a column
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A function of a prediction and its reference, scored beside PSNR and SSIM.
+    """A function of a prediction and its reference, scored along with PSNR and SSIM.
 
     It is called as ``function(prediction, reference)`` with arrays (C, h, w) float32 of the region that the protocol
     scores, which it may write to, the prediction clamped and rescaled as the protocol has it. It returns a finite

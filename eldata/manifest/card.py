@@ -170,7 +170,7 @@ class Card:
         Expected number of rows per role. A card without a manifest has none.
     scenes_shared
         Whether a scene's name under several cameras is one scene that all of them photographed; scores of it then count
-        as one in intervals and p-values (:func:`eldata.evaluation.statistics.clusters_of`).
+        as one in intervals and p-values (:func:`eldata.evaluation.statistics.list_clusters`).
     subsets
         Named choices of pairs. ``eldata evaluate`` scores the first one by default.
     protocol

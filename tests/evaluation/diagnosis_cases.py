@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from scipy import ndimage
-from skimage.restoration import denoise_bilateral, denoise_nl_means, denoise_tv_chambolle
+from skimage.restoration import denoise_tv_chambolle
 
 from eldata.baselines.classical import BASELINES, SignalNoise
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
-from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch, suspicions_of
+from eldata.evaluation.diagnosis import Inspection, find_mistake, find_suspicions, sketch
 from eldata.evaluation.mistakes import Circumstances
 from eldata.isp.rendering import preview
 from eldata.metrics.image_score import score_by
@@ -160,15 +160,6 @@ def _moved(plane: Array) -> Array:
     return np.asarray(ndimage.shift(ndimage.gaussian_filter(plane, 1.0), 0.3, order=1, mode="nearest"))
 
 
-def _bilateral(plane: Array) -> Array:
-    found = denoise_bilateral(np.clip(plane, 0, None), sigma_color=2 * _noise_of(plane), sigma_spatial=1.5, win_size=7)
-    return np.asarray(found)
-
-
-def _nl_means(plane: Array) -> Array:
-    return np.asarray(denoise_nl_means(plane, patch_size=5, patch_distance=4, h=0.8 * _noise_of(plane)))
-
-
 def _total_variation(plane: Array) -> Array:
     found = denoise_tv_chambolle(plane, weight=1.5 * _noise_of(plane))  # type: ignore[no-untyped-call] # scikit-image's
     return np.asarray(found)
@@ -191,8 +182,6 @@ DENOISERS: dict[str, Callable[[Array], Array]] = {
     "Gaussian, sigma 6": _gaussian(6.0),
     "median 3 x 3": _planes(lambda plane: ndimage.median_filter(plane, 3)),
     "median 5 x 5": _planes(lambda plane: ndimage.median_filter(plane, 5)),
-    "bilateral": _planes(_bilateral),
-    "non-local means": _planes(_nl_means),
     "total variation": _planes(_total_variation),
     "means of 4 x 4": _planes(lambda plane: ndimage.zoom(ndimage.zoom(plane, 0.25, order=1), 4, order=0)),
     DCT: lambda packed: packed,  # which needs the noise, too (denoised)
@@ -303,7 +292,7 @@ OF_XTRANS: dict[str, tuple[Making, str]] = {
     "R and B exchanged": (
         _reordered(2, 1, 0, 4, 3, 5, 6, 7, 8),
         "as if packed in the order 2, 1, 0, 4, 3, 5, 6, 7, 8 of its channels",
-    ),
+    )
 }
 OF_PLACE: dict[str, tuple[Making, str]] = {
     "shifted by (1, 0)": (_shifted(1, 0), f"as if shifted by (1, 0) {_PIXELS}"),
@@ -394,7 +383,7 @@ def inspected(shot: Photograph, protocol: Protocol, prediction: Array) -> Inspec
         amplified=partial(shot.input, protocol),
     )
     psnr_db = score(prediction).psnr_db
-    mistake = mistake_in(prediction, target, psnr_db, now)
+    mistake = find_mistake(prediction, target, psnr_db, now)
     return Inspection(shot.path, shot.camera.name, now.ratio, psnr_db, mistake, sketch(prediction), sketch(target))
 
 
@@ -402,7 +391,7 @@ def suspicions(
     shots: Sequence[Photograph], protocol: Protocol, predict: Callable[[Photograph], Array]
 ) -> tuple[Suspicion, ...]:
     """What an evaluation of these frames says."""
-    return suspicions_of([inspected(shot, protocol, predict(shot)) for shot in shots])
+    return find_suspicions([inspected(shot, protocol, predict(shot)) for shot in shots])
 
 
 @dataclass(frozen=True)
@@ -420,7 +409,7 @@ def planted(camera: str, seed: int, protocol: str, denoiser: str, mistake: str) 
     make, words = mistakes_of(camera, rules)[mistake]
 
     found = [inspected(shot, rules, make(predicted(shot, protocol, denoiser), shot, rules)) for shot in shots]
-    said = suspicions_of(found)
+    said = find_suspicions(found)
     cost_db = honest_psnr_db(camera, seed, protocol, denoiser) - float(np.mean([one.psnr_db for one in found]))
     return Outcome(cost_db, len(said) == 1 and not said[0].where and said[0].words.startswith(words), said)
 

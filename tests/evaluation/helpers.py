@@ -9,10 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.datasets.published import DRVDataset
 from eldata.demo.tree import make_tree
+from eldata.evaluation import save_clip_prediction
 from eldata.evaluation.request import make_request, plan_scoring
 from eldata.records import PairRecord
+from tests.drv_tree import generator_of, rgb_frame_of, still_of
 from tests.evaluation import oracle
+from tests.evaluation.own_set import Placed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,13 +26,14 @@ if TYPE_CHECKING:
 
     from eldata.evaluation import EvaluationResult
     from eldata.protocols import Protocol
+    from tests.drv_tree import SmallDrv
     from tests.evaluation.published_code import Score
 
 SIZE = (64, 96)
 
 
 @dataclass(frozen=True)
-class Tree:
+class Tree(Placed):
     """A demo tree: ``folder`` holds ``data/ELD-demo`` and ``manifests``."""
 
     folder: Path
@@ -44,16 +49,6 @@ class Tree:
     @property
     def manifest(self) -> Path:
         return self.folder / "manifests" / "eld-demo.csv"
-
-    @property
-    def where(self) -> dict[str, Any]:
-        """What every evaluation of it is given."""
-        return {"manifest": self.manifest, "root": self.root}
-
-    @property
-    def arguments(self) -> list[str]:
-        """The same for a command; of small frames, starting workers is what takes time."""
-        return ["--manifest", str(self.manifest), "--root", str(self.root), "--jobs", "1"]
 
     @property
     def pairs(self) -> list[oracle.Pair]:
@@ -98,6 +93,31 @@ def place(
         written[pair.path] = prediction.astype(np.float32)
         np.save(path, written[pair.path])
     return written
+
+
+CLIPS = ("0007", "0013")
+SCORED_FRAMES = range(5, 10)  # numbered from 1
+
+
+def predicted_frame(clip: str, number: int) -> NDArray[np.float32]:
+    """A prediction as a network would make it: too bright, somewhat noisy, in places beyond [0, 1]."""
+    still, noisy = (image.transpose(2, 0, 1) / 65535 for image in (still_of(clip), rgb_frame_of(clip, number)))
+    frame = 1.1 * (0.8 * still + 0.2 * noisy) + generator_of(f"{clip}-{number}").normal(0, 0.005, still.shape)
+    frame[:, 3:5, 7:9] = 1.2
+    frame[:, 9:11, 2:5] = -0.1
+    return frame.astype(np.float32)
+
+
+def predicted_clip(clip: str) -> NDArray[np.float32]:
+    return np.stack([predicted_frame(clip, number) for number in SCORED_FRAMES])
+
+
+def predict_clips(drv: SmallDrv, folder: Path) -> None:
+    """Save the predicted frames of every clip with scored ones."""
+    for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
+        written = save_clip_prediction(folder, record, predicted_clip(record.scene))
+        names = [f"{record.scene}/{number:04d}.npy" for number in SCORED_FRAMES]
+        assert [path.relative_to(folder).as_posix() for path in written] == names
 
 
 def assert_equal(result: EvaluationResult, of: Callable[[Any], Score]) -> None:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import zlib
-from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.demo.tree import demo_card
 from eldata.evaluation import save_prediction
-from eldata.manifest.card import CameraCard, Card, cfa_word, save_card
+from eldata.manifest.card import OWN_PROTOCOL, cfa_word, save_card
 from eldata.manifest.table import save_records
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import pack, packing_sites
@@ -61,16 +61,11 @@ def mosaic_of(path: str, size: tuple[int, int], *, bright: bool) -> NDArray[np.u
     return result
 
 
-@dataclass(frozen=True)
-class OwnSet:
-    """Where it lies: ``manifest`` is the CSV, ``root`` the data root."""
+class Placed:
+    """A set's ``manifest``, which is the CSV, and its data root, as evaluations take them."""
 
-    manifest: Path
-    root: Path
-
-    @property
-    def files(self) -> Path:
-        return self.root / "MINE"
+    manifest: Any
+    root: Any
 
     @property
     def where(self) -> dict[str, Any]:
@@ -81,6 +76,23 @@ class OwnSet:
     def arguments(self) -> list[str]:
         """The same for a command; of small frames, starting workers is what takes time."""
         return ["--manifest", str(self.manifest), "--root", str(self.root), "--jobs", "1"]
+
+
+@dataclass(frozen=True)
+class OwnSet(Placed):
+    """A set and its predictions."""
+
+    manifest: Path
+    root: Path
+
+    @property
+    def files(self) -> Path:
+        return self.root / "MINE"
+
+    @property
+    def predictions(self) -> Path:
+        """Of the fixture ``own``."""
+        return self.root.parent / "preds"
 
 
 def build_own_set(
@@ -119,18 +131,8 @@ def build_own_set(
                     reference=None if clean else reference,
                 )
             )
-    card = Card(
-        name="mine",
-        title="A set of one's own",
-        version="1.0",
-        folder="MINE",
-        citation="none",
-        licence="ours",
-        homepage="https://example.org/mine",
-        cfa=cfa_word([packing_sites(cfa).name]),
-        cameras={"Mine": CameraCard(("Mine 1",))},
-        counts=dict(Counter(record.role for record in records)),
-    )
+    card = demo_card("mine", "A set of one's own", "MINE", {"Mine": sensor}, records, "simulated")
+    card = replace(card, protocol=OWN_PROTOCOL, cfa=cfa_word([packing_sites(cfa).name]))
     save_card(folder / "mine.json", card)
     save_records(folder / "mine.csv", sorted(records, key=lambda record: record.path))
     return OwnSet(folder / "mine.csv", root)

@@ -1,15 +1,7 @@
-"""Predictions in every form that is read, some of which tempt a reader to copy them more often than needed.
-
-Run as a program it loads those, and prints by how much each raised the peak of the process's memory.
-"""
+"""Predictions in every form that is read, some of which tempt a reader to copy them more often than needed."""
 
 from __future__ import annotations
 
-import json
-import multiprocessing
-import sys
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import h5py
@@ -18,23 +10,15 @@ import numpy as np
 import tifffile
 from PIL import Image
 
-from eldata.evaluation.predictions import load_prediction
-from eldata.records import Sensor
 from tests.evaluation import hostile_predictions as hostile
-from tests.peak import peak_kib
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
     Writer: TypeAlias = Callable[[Path, NDArray[Any]], None]
-
-SMALL, LARGE = (hostile.HEIGHT, hostile.WIDTH), (1400, 2100)
-
-
-def sensor_of(size: tuple[int, int]) -> Sensor:
-    return Sensor("Maker", "Model", hostile.SENSOR.cfa, (512.0,) * 4, 16383.0, *size, None, None)
 
 
 def save_npy(path: Path, array: NDArray[Any]) -> None:
@@ -139,10 +123,7 @@ FILES: dict[str, tuple[str, Writer]] = {
     "16-bit.png": ("<u2", save_png),
 }
 OF_PACKED: dict[str, tuple[str, Writer]] = {
-    "of-python-2.npy": (
-        "<f4",
-        with_header("{'descr': '<f4', 'fortran_order': False, 'shape': (4L, 32L, 48L), }"),
-    ),
+    "of-python-2.npy": ("<f4", with_header("{'descr': '<f4', 'fortran_order': False, 'shape': (4L, 32L, 48L), }")),
     "chunks.h5": ("<f4", h5(chunks=(4, 10, 10), maxshape=(None, None, None))),
     "chunks-beyond-its-sides.h5": ("<f4", h5(chunks=(5, 40, 50), maxshape=(None, None, None), compression="gzip")),
     "planes.tif": ("<f4", tif(photometric="rgb", planarconfig="separate")),
@@ -161,31 +142,3 @@ def quantised(values: NDArray[np.floating[Any]], kind: str) -> tuple[NDArray[Any
         return stored, stored / 65535
     stored = values.astype(kind)
     return stored, stored.astype(np.float64)
-
-
-def write_awkward(folder: Path, size: tuple[int, int]) -> None:
-    folder.mkdir()
-    values = np.random.default_rng(3).random(size, np.float32)
-    for name in AWKWARD:
-        kind, save = FILES[name]
-        save(folder / name, quantised(values, kind)[0])
-
-
-def times_of_array(folder: Path, name: str) -> float:
-    """Load a small prediction, which loads libraries, and then the large one; return how often the peak held it."""
-    load_prediction(folder / "small" / name, sensor_of(SMALL), "metadata")
-    Path("/proc/self/clear_refs").write_text("5")  # the peak starts again from what is in use now
-    before = peak_kib()
-    loaded = load_prediction(folder / "large" / name, sensor_of(LARGE), "metadata")
-    return (peak_kib() - before) * 1024 / loaded.nbytes
-
-
-def main(folder: Path) -> None:
-    """Each in a process of its own, where no other has left memory that is used again."""
-    with multiprocessing.get_context("fork").Pool(1, maxtasksperchild=1) as pool:
-        found = pool.map(partial(times_of_array, folder), AWKWARD, chunksize=1)
-    print(json.dumps(dict(zip(AWKWARD, found, strict=True))))
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

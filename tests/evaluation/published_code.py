@@ -377,12 +377,17 @@ def led_score(output: Array, target: Array, reference: Path) -> Score:
     x, y = (image.astype(np.float64)[:, 2:-2, 2:-2] for image in (rescaled, target))
     psnr_db = 10 * math.log10(1 / (float(np.mean((x - y) ** 2)) + 1e-8))
 
-    x, y = 255 * x, 255 * y
+    return Score(psnr_db, gaussian_ssim(x, y), factor)
+
+
+def gaussian_ssim(x: Array, y: Array) -> float:
+    """The same file's _ssim_pth, of values up to 255; YOND YOND_SIDD.py ssim has the same arithmetic of one plane."""
+    x, y = 255 * x.astype(np.float64), 255 * y.astype(np.float64)
     c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
     mx, my = led_smooth(x), led_smooth(y)
     vx, vy, cxy = led_smooth(x * x) - mx**2, led_smooth(y * y) - my**2, led_smooth(x * y) - mx * my
     structure = (2 * cxy + c2) / (vx + vy + c2)
-    return Score(psnr_db, float(np.mean((2 * mx * my + c1) / (mx**2 + my**2 + c1) * structure)), factor)
+    return float(np.mean((2 * mx * my + c1) / (mx**2 + my**2 + c1) * structure))
 
 
 # --- sRGB by ELD's own pipeline ---------------------------------------------------------------------------------------
@@ -512,14 +517,16 @@ def sid_score(codes: NDArray[np.uint8], path: Path) -> Score:
 
 
 def eld_clip(output: Array, target: Array, *, correct: bool) -> tuple[list[Score], Array]:
-    """Scores of a clip's frames, (T, C, h, w), each against the one still, and its frames as they are scored.
+    """Scores of a clip's frames, (T, C, h, w), against one still or each its own, and the frames as they are scored.
 
     ELD models/ELD_model.py IlluminanceCorrect.forward, which takes the frames one by one, and tensor2im with
     ``video=True``; util/index.py quality_assess, whose PSNR and SSIM are those of its frames.
     """
-    rescaled = [corrected(frame, target) if correct else (frame, math.nan) for frame in output]
+    targets = np.broadcast_to(target, output.shape)
+    pairs = list(zip(output, targets, strict=True))
+    rescaled = [corrected(frame, still) if correct else (frame, math.nan) for frame, still in pairs]
     shown = np.stack([np.clip(frame.astype(np.float64) * 255, 0, 255) / 255 for frame, _ in rescaled])
-    return [assessed(frame, target, factor) for frame, factor in rescaled], shown
+    return [assessed(frame, still, factor) for (frame, factor), still in zip(rescaled, targets, strict=True)], shown
 
 
 def eld_grey(clip: Array) -> Array:
@@ -582,11 +589,6 @@ RENDERED = {"sid2018": sid_score, **dict.fromkeys(("sid-raw2rgb", "sid-rgb2rgb")
 RENDERED |= {"eld-raw2rgb": eld_rgb_score, "eld-rgb2rgb": eld_rgb_score}
 """Protocols that score renderings."""
 
-CLIPS = {
-    "drv-rgb": True,
-    "drv-rgb-uncorrected": False,
-    "drv-raw": True,
-    "drv-raw-uncorrected": False,
-    "sequences": True,
-}
+CLIPS = dict.fromkeys(("drv-rgb", "drv-raw", "sequences"), True)
+CLIPS |= dict.fromkeys(("drv-rgb-uncorrected", "drv-raw-uncorrected"), False)
 """Protocols of clips, and whether each frame is corrected. ELD's code for video is not public but for its metrics."""

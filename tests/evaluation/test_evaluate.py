@@ -1,43 +1,44 @@
+"""Results of `evaluate`: scores, coverage, provenance, files; read back, or refused in a line; several methods."""
+
 from __future__ import annotations
 
 import csv
-import inspect
 import json
 import math
 import shutil
+import tracemalloc
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from eldata import __version__
 from eldata.base.files import sha256_of
-from eldata.baselines import write_predictions
-from eldata.errors import DatasetError
-from eldata.evaluation import EvaluationResult, evaluate, evaluate_methods, scored_pairs
-from eldata.evaluation.results import saved_result
+from eldata.base.tables import FORMATS
+from eldata.errors import ArgumentError, DatasetError, FileError
+from eldata.evaluation import EvaluationResult, evaluate, evaluate_methods, load_prediction, score
+from eldata.evaluation.evaluate import compare_methods, name_folders
+from eldata.evaluation.results import load_result, saved_result
 from eldata.evaluation.scores import UnitScore
 from eldata.manifest.card import load_card, save_card
 from eldata.protocols import PROTOCOLS
+from eldata.protocols.protocol import StatedProtocol
 from tests.evaluation import oracle
 from tests.evaluation.helpers import Tree, place
+from tests.evaluation.own_set import OwnSet, build_own_set, predict
+from tests.reports.evaluations import result_data, written
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from tests.evaluation.helpers import Tree
+
 
 COLUMNS = ["path", "camera", "scene", "iso", "ratio", "psnr_db", "ssim", "rescale"]
-
-
-def strict(text: str) -> Any:
-    """Parse JSON that must not use NaN or Infinity."""
-
-    def refuse(constant: str) -> NoReturn:
-        raise AssertionError(f"{constant} is not JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 @pytest.fixture(scope="module")
@@ -74,9 +75,7 @@ def test_all_dark_predictions_are_scored_as_black(value: float, protocol: str, t
 # --- coverage -------------------------------------------------------------------------------------------------
 
 
-def test_allow_missing_shows_its_coverage(
-    tree: Tree, incomplete: Path, result: EvaluationResult, tmp_path: Path
-) -> None:
+def test_allow_missing_shows_its_coverage(tree: Tree, incomplete: Path, result: EvaluationResult) -> None:
     found = evaluate(incomplete, **tree.where, allow_missing=True)
     assert not found.problems
     assert len(found.missing) == 5
@@ -89,19 +88,17 @@ def test_allow_missing_shows_its_coverage(
     assert (rows[None, None].scored, rows[None, None].pairs) == (7, 12)
     assert rows[None, None].psnr_db == pytest.approx(np.mean([image.psnr_db for image in kept]), rel=1e-12)
 
-    found.write_json(tmp_path / "r.json")
-    data = strict((tmp_path / "r.json").read_text())
+    data = json.loads(json.dumps(found.as_dict(), allow_nan=False))
     assert data["coverage"] == {"pairs": 12, "scored": 7, "missing": list(found.missing)}
     empty = next(row for row in data["table"] if (row["camera"], row["ratio"]) == ("DemoBeta", 200))
-    assert empty["psnr_db"] is None
-    assert empty["ssim"] is None
+    assert (empty["psnr_db"], empty["ssim"]) == (None, None)
 
 
 # --- the dataset ----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def own(tree: Tree, tmp_path: Path) -> Tree:
+def copied(tree: Tree, tmp_path: Path) -> Tree:
     return tree.copy(tmp_path / "tree")
 
 
@@ -112,9 +109,9 @@ def refused(tree: Tree, predictions: Path, **arguments: Any) -> str:
 
 
 @pytest.mark.parametrize("number", ["0011", "0004"])  # a reference, and a noisy frame, which predictions do not need
-def test_missing_frame(own: Tree, predictions: Path, number: str) -> None:
-    (own.files / f"DemoBeta/scene-1/IMG_{number}.dng").unlink()
-    message = refused(own, predictions, allow_missing=True)
+def test_missing_frame(copied: Tree, predictions: Path, number: str) -> None:
+    (copied.files / f"DemoBeta/scene-1/IMG_{number}.dng").unlink()
+    message = refused(copied, predictions, allow_missing=True)
     assert f"DemoBeta/scene-1/IMG_{number}.dng" in message
     assert "expected a file, found nothing" in message
 
@@ -122,34 +119,14 @@ def test_missing_frame(own: Tree, predictions: Path, number: str) -> None:
 # --- names ----------------------------------------------------------------------------------------------------
 
 
-def test_cameras(own: Tree, predictions: Path, result: EvaluationResult) -> None:
-    shutil.rmtree(own.files / "DemoAlpha")  # a part of the dataset is enough for its own scores
-    found = evaluate(predictions, **own.where, cameras=["DemoBeta"])
+def test_cameras(copied: Tree, predictions: Path, result: EvaluationResult) -> None:
+    shutil.rmtree(copied.files / "DemoAlpha")  # a part of the dataset is enough for its own scores
+    found = evaluate(predictions, **copied.where, cameras=["DemoBeta"])
     assert found.scores == tuple(image for image in result.scores if image.camera == "DemoBeta")
     assert found.provenance["cameras"] == ["DemoBeta"]
     assert "only DemoBeta" in found.format_text()
     assert [(row.camera, row.ratio) for row in found.table] == [("DemoBeta", 100), ("DemoBeta", 200), (None, None)]
     assert any(note.endswith("leaves their frames out: 6 predictions") for note in found.notes)  # of the other camera
-
-
-CHOICE: dict[str, Any] = dict.fromkeys(("protocol", "root", "manifest", "cameras", "subset", "ids", "dark_shading"))
-CHOICE["exclude_flags"] = ()
-SCORED: dict[str, Any] = CHOICE | {"dataset": "eld", "allow_missing": False}
-HOW: dict[str, Any] = SCORED | {"strict": False, "task": None, "workers": 1}
-SIGNATURES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
-    (evaluate, HOW | {"baseline": None}),
-    (evaluate_methods, HOW),
-    (scored_pairs, SCORED | {"baseline": None}),
-    (write_predictions, CHOICE | {"clip": None, "dtype": "float32", "workers": 1}),
-]
-
-
-@pytest.mark.parametrize(("shown", "defaults"), SIGNATURES, ids=lambda value: getattr(value, "__name__", None))
-def test_every_keyword_stands_there_with_its_default(shown: Callable[..., Any], defaults: dict[str, Any]) -> None:
-    parameters = inspect.signature(shown).parameters.values()
-    assert {one.name: one.default for one in parameters if one.default is not one.empty} == defaults
-    with pytest.raises(TypeError, match="got an unexpected keyword argument 'colour'"):
-        shown(colour=1)
 
 
 # --- what is written ------------------------------------------------------------------------------------------
@@ -170,15 +147,11 @@ def test_the_card_says_whether_cameras_share_their_scenes(tree: Tree, result: Ev
 
 def test_provenance(tree: Tree, predictions: Path, result: EvaluationResult) -> None:
     provenance = result.provenance
-    assert provenance["dataset"] == "eld-demo"
-    assert provenance["manifest_version"] == "1.0"
-    assert provenance["manifest_sha256"] == sha256_of(tree.manifest)
-    assert provenance["protocol_digest"] == PROTOCOLS["eld"].digest
-    assert provenance["cameras"] == "all"
-    assert provenance["predictions"] == str(predictions)
-    assert provenance["eldata"] == __version__
-    for name in ("numpy", "numba", "rawpy"):
-        assert provenance[name] == version(name)
+    assert provenance.items() >= {
+        "dataset": "eld-demo", "manifest_version": "1.0", "manifest_sha256": sha256_of(tree.manifest),
+        "protocol_digest": PROTOCOLS["eld"].digest, "cameras": "all", "predictions": str(predictions),
+        "eldata": __version__, **{name: version(name) for name in ("numpy", "numba", "rawpy")},
+    }.items()  # fmt: skip
     assert provenance["libraw"].count(".") == 2
     assert provenance["python"].startswith("3.")
 
@@ -204,3 +177,214 @@ def test_csv(result: EvaluationResult, tmp_path: Path) -> None:
         assert (row["camera"], row["scene"]) == (image.camera, image.scene)
     assert rows[0]["iso"] == "800"
     assert [row["ratio"] for row in rows[-3:]] == ["250", "300", "33.3125"]
+
+
+# --- what was saved ---------------------------------------------------------------------------------------------------
+
+
+def as_read_back(result: EvaluationResult, path: Path) -> EvaluationResult:
+    """What a result is once it was saved: without its pairs, with its protocol as it states itself."""
+    protocol = result.protocol
+    stated = StatedProtocol(protocol.kind, protocol.as_dict())
+    return replace(result, protocol=stated, units=(), source=str(path))
+
+
+def test_what_evaluate_wrote_is_read_back(tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    """One that lacks a prediction, and cannot use another."""
+    shutil.copytree(predictions, tmp_path / "preds")
+    first, second, *_ = (tmp_path / "preds" / pair.path for pair in tree.pairs)
+    first.with_suffix(".npy").unlink()
+    second.with_suffix(".npy").write_bytes(b"")
+    result = evaluate(tmp_path / "preds", **tree.where, allow_missing=True)
+    assert (len(result.missing), len(result.problems), result.expected) == (2, 1, 12)
+    assert result.notes
+    result.write_json(tmp_path / "a.json")
+    saved = load_result(tmp_path / "a.json")
+    assert saved == as_read_back(result, tmp_path / "a.json")
+    for form in FORMATS:
+        assert saved.format(form) == result.format(form)
+    assert saved.as_dict() == result.as_dict()
+    assert (saved.dataset, saved.protocol.name, saved.digest) == ("eld-demo", "eld", result.protocol.digest)
+    assert saved.scores[0].place == ("DemoAlpha", "scene-1")
+
+
+def test_infinite_and_unknown_scores() -> None:
+    data = result_data()
+    data["images"][0]["psnr_db"] = "inf"
+    data["images"][1]["psnr_db"] = None
+    saved = saved_result(data, "test")
+    assert saved.scores[0].psnr_db == math.inf
+    assert math.isnan(saved.scores[1].psnr_db)
+
+
+# --- what cannot be used ------------------------------------------------------------------------------------------
+
+
+def changed(*keys: str | int, to: object) -> dict[str, Any]:
+    data = result_data(scenes=1)
+    place: Any = data
+    for key in keys[:-1]:
+        place = place[key]
+    place[keys[-1]] = to
+    return data
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (changed("images", 3, "psnr_db", to="high"), ["images[3].psnr_db", '"inf"', "'high'"]),
+        (changed("images", 3, "psnr_db", to=10**400), ["images[3].psnr_db", "finite"]),
+        (changed("images", 2, "ratio", to=-1), ["images[2].ratio", "-1"]),
+        (changed("images", 0, "path", to=7), ["images[0].path", "text", "7"]),
+        (changed("images", 1, "path", to="SonyA7S2/scene-1/IMG_0002.ARW"), ["images[1].path", "another image"]),
+        (changed("coverage", "scored", to=11), ["coverage.scored", "12", "11"]),
+        (changed("coverage", "pairs", to=3), ["coverage.pairs", "12 or more", "3"]),
+        (changed("provenance", to="eld"), ["field provenance", "object", "'eld'"]),
+        (changed("provenance", "scenes_shared", to=None), ["provenance.scenes_shared", "true or false", "null"]),
+        (changed("provenance", "eldata", to="99.0.0"), ["provenance.eldata", "99.0.0", __version__, "update"]),
+        (changed("protocol", "name", to=3), ["protocol.name", "text"]),
+        # An edited field would be taken for how the scores were made.
+        (changed("protocol", "region", to="border-2"), ["protocol_digest: expected the digest of the fields"]),
+        (changed("problems", to=[{"path": "a"}]), ["problems[0].reason", "nothing"]),
+        ({"problems": [], "ok": True}, ["not a result of eldata evaluate", "provenance", "missing"]),
+        ([], ["expected an object", "[]"]),
+    ],
+)
+def test_a_bad_field_is_named(data: object, words: list[str], tmp_path: Path) -> None:
+    path = written(tmp_path / "bad.json", data)
+    with pytest.raises(FileError) as caught:
+        load_result(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+# --- several folders in one pass: each is scored as it is alone -------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folders(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A good method; one with its channels in another order; one that lacks a frame and has one of a wrong shape."""
+    base = tmp_path_factory.mktemp("methods")
+    made = {"good": predict(own, base / "good", 0.01), "swapped": predict(own, base / "swapped", 0.02, reverse=True)}
+    made["broken"] = predict(own, base / "broken", 0.03)
+    (made["broken"] / "s0" / "x50.npy").unlink()
+    np.save(made["broken"] / "s1" / "x100.npy", np.zeros((4, 3, 3), np.float32))
+    return made
+
+
+def alone(own: OwnSet, folder: Path, **options: Any) -> EvaluationResult:
+    return evaluate(folder, **own.where, **options)
+
+
+def as_text(result: EvaluationResult) -> str:
+    return json.dumps(result.as_dict(), sort_keys=True)
+
+
+@pytest.mark.parametrize("allow_missing", [False, True])
+def test_each_as_alone(own: OwnSet, folders: dict[str, Path], allow_missing: bool) -> None:
+    """JSON equal in every byte; a folder that lacks frames costs the others nothing."""
+    found = evaluate_methods(folders, **own.where, allow_missing=allow_missing)
+    assert list(found) == ["good", "swapped", "broken"]
+    for name, folder in folders.items():
+        assert as_text(found[name]) == as_text(alone(own, folder, allow_missing=allow_missing)), name
+    assert [found[name].scored for name in found] == [4, 4, 2 if allow_missing else 0]
+    assert [len(of.suspicions) for of in found.values()] == [0, 1, 0]
+    assert [len(of.problems) for of in found.values()] == [0, 0, 1]
+
+
+def test_workers_change_nothing(own: OwnSet, folders: dict[str, Path]) -> None:
+    expected = [as_text(result) for result in evaluate_methods(folders, **own.where).values()]
+    with ThreadPoolExecutor(2) as executor:
+        found = evaluate_methods(folders, **own.where, workers=executor)
+    assert [as_text(result) for result in found.values()] == expected
+
+
+def test_each_file_is_read_once(own: OwnSet, folders: dict[str, Path]) -> None:
+    """However many folders there are; and no noisy frame that no prediction is looked at with."""
+    from eldata.raw import reading
+
+    decode, load, read = reading.read_raw, load_prediction, Counter[str]()
+
+    def counted(path: Any, *arguments: Any, **options: Any) -> Any:
+        read[Path(path).name] += 1
+        return decode(path, *arguments, **options)
+
+    def loaded(path: Path, *arguments: Any) -> Any:
+        read[str(path)] += 1
+        return load(path, *arguments)
+
+    with patch.object(reading, "read_raw", counted), patch.object(score, "load_prediction", loaded):
+        evaluate_methods({name: folders[name] for name in ("good", "swapped")}, **own.where)
+    assert read["clean.dng"] == 2
+    assert max(read[name] for name in ("x50.dng", "x100.dng")) <= 2 * 2  # one of each scene, for each folder
+    assert [count for path, count in read.items() if path.endswith(".npy")] == [1] * 8
+
+
+def test_a_unit_that_one_folder_loses(own: OwnSet, folders: dict[str, Path]) -> None:
+    """It is scored again, folder by folder: the others have all of their scores."""
+    read = score.read_prediction
+
+    def failing(how: Any, pair: Any, path: str, file: Path | None, reference: Any) -> Any:
+        if file is not None and file.parts[-3:] == ("swapped", "s1", "x50.npy"):
+            raise OSError("the disk is gone")  # as a dead worker, it is no problem of one file
+        return read(how, pair, path, file, reference)
+
+    options: Any = own.where | {"allow_missing": True}
+    with patch.object(score, "read_prediction", failing):
+        found = evaluate_methods([folders["good"], folders["swapped"]], **options)
+        expected = alone(own, folders["swapped"], allow_missing=True)
+    assert as_text(found["good"]) == as_text(alone(own, folders["good"], allow_missing=True))
+    assert as_text(found["swapped"]) == as_text(expected)
+    assert (expected.scored, len(expected.problems)) == (2, 2)
+
+
+def test_predictions_are_in_memory_one_at_a_time(tmp_path: Path) -> None:
+    """Six folders take no more of numpy's memory at the peak than two, but for a tenth of a prediction each."""
+    size = (300, 420)
+    own = build_own_set(tmp_path, ratios=(50,), size=size)
+    folder = tmp_path / "p0"
+    packed = np.random.default_rng(1).uniform(0, 1, (4, size[0] // 2, size[1] // 2)).astype(np.float32)
+    (folder / "s0").mkdir(parents=True)
+    np.save(folder / "s0" / "x50.npy", packed)
+    several = [folder, *(shutil.copytree(folder, tmp_path / f"p{number}") for number in range(1, 6))]
+
+    def peak(chosen: list[Path]) -> int:
+        tracemalloc.start()
+        evaluate_methods(chosen, **own.where)
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found
+
+    peak(several)  # what is loaded on first use
+    assert peak(several) < peak(several[:2]) + 4 * packed.nbytes // 10
+
+
+def test_names() -> None:
+    here = Path.cwd()
+    assert name_folders([here / "tests", here / "docs"]) == {"tests": here / "tests", "docs": here / "docs"}
+    assert list(name_folders([here / "tests", here / "docs"], ["one", "two"])) == ["one", "two"]
+    for chosen, names, words in (
+        ([here / "tests", here / "docs"], ["one"], "1 for 2"),
+        ([here / "tests", here / "tests"], [], "would both be called 'tests'"),
+        ([here / "tests", here / "docs"], ["A", "a"], "would both be called 'a'"),
+        ([here / "tests"], ["Comparison"], "the comparison and .* would both be called"),
+        ([here / "tests"], ["../up"], "cannot be the name of a file"),
+        ([], [], "expected one folder"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            name_folders(chosen, names)
+
+
+def test_what_cannot_be_compared_says_why(own: OwnSet, folders: dict[str, Path]) -> None:
+    good, other = (alone(own, folders[name]) for name in ("good", "swapped"))
+    none = replace(other, scores=())
+    assert compare_methods({"a": good}) == (None, "")
+    assert compare_methods({"a": good, "b": none}) == (None, "there is nothing to compare: a alone has scores")
+    assert compare_methods({"a": none, "b": none}) == (None, "there is nothing to compare: no method has scores")
+    apart = replace(other, scores=tuple(replace(score, path=f"x/{score.path}") for score in other.scores))
+    assert compare_methods({"a": good, "b": apart})[1].startswith(
+        "no image is common to the results (a: 4 of mine, b: 4"
+    )

@@ -6,13 +6,14 @@ import zlib
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import rawpy
 from PIL import Image
 
+from eldata.errors import ArgumentError
 from eldata.evaluation import EvaluationResult, evaluate, save_prediction
 from eldata.manifest.card import save_card
 from eldata.manifest.catalogue import shipped_manifest
@@ -43,10 +44,7 @@ if TYPE_CHECKING:
 BLACKS = ((509.0, 516.0, 600.0, 2047.0), (512.0,) * 4, (400.0, 399.0, 402.0, 401.0), (2047.0, 2049.0, 2048.0, 2046.0))
 WHITES = (15520.0, 16300.0, 13583.0, 16383.0)
 SIZES = ((40, 56), (44, 48), (36, 64), (38, 50))
-MODELS = {
-    "SonyA7S2": ("SONY", "ILCE-7SM2"),
-    "NikonD850": ("NIKON CORPORATION", "NIKON D850"),
-}
+MODELS = {"SonyA7S2": ("SONY", "ILCE-7SM2"), "NikonD850": ("NIKON CORPORATION", "NIKON D850")}
 DARK = 3
 """Number of the scene that has nothing but read noise in it."""
 
@@ -68,28 +66,15 @@ class Pairs:
     def evaluate(
         self, protocol: str, *, baseline: bool = False, cameras: Collection[str] | None = None
     ) -> EvaluationResult:
-        return evaluate(
-            None if baseline else self.predictions,
-            manifest=self.csv,
-            root=self.root,
-            protocol=protocol,
-            cameras=cameras,
-            baseline="input" if baseline else None,
-        )
+        where: dict[str, Any] = {"manifest": self.csv, "root": self.root, "protocol": protocol, "cameras": cameras}
+        return evaluate(None, baseline="input", **where) if baseline else evaluate(self.predictions, **where)
 
 
 def sensor_at(number: int, camera: str, size: tuple[int, int]) -> Sensor:
     """The sensor of the n-th scene: every phase with every black level, and other white levels."""
     turn = number + number // 4
-    return Sensor(
-        *MODELS[camera],
-        list(BAYER.values())[number % 4],
-        BLACKS[turn % 4],
-        WHITES[(number + 2 * (number // 4)) % 4],
-        *size,
-        WHITE_BALANCE,
-        MATRIX,
-    )
+    levels = BLACKS[turn % 4], WHITES[(number + 2 * (number // 4)) % 4]
+    return Sensor(*MODELS[camera], list(BAYER.values())[number % 4], *levels, *size, WHITE_BALANCE, MATRIX)
 
 
 def fuji_at(number: int, camera: str, size: tuple[int, int]) -> Sensor:
@@ -206,18 +191,12 @@ def assert_published_predictions(
     return result
 
 
-def assert_published_input(pairs: Pairs, protocol: str, routes: dict[str, Route] = published_code.BAYER) -> None:
-    """The input itself, which is what a network returns that changes nothing."""
-    route = routes[protocol]
-    assert_equal(
-        pairs.evaluate(protocol, baseline=True),
-        lambda pair: route.of_input(pairs.files / pair.path, pairs.files / pair.reference),
-    )
-
-
 def assert_published(pairs: Pairs, protocol: str, routes: dict[str, Route] = published_code.BAYER) -> EvaluationResult:
-    """Both; return the predictions' result."""
-    assert_published_input(pairs, protocol, routes)
+    """Hold the input itself, which a network returns that changes nothing, and predictions; return their result."""
+    baseline = pairs.evaluate(protocol, baseline=True)
+    assert_equal(
+        baseline, lambda pair: routes[protocol].of_input(pairs.files / pair.path, pairs.files / pair.reference)
+    )
     return assert_published_predictions(pairs, protocol, routes)
 
 
@@ -241,15 +220,8 @@ def eld(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
     return build("eld", tmp_path_factory.mktemp("eld"), some_eld)
 
 
-ELD_COUNTS = {
-    "eld": 40,
-    "eld-uncorrected": 40,
-    "pmn-eld": 20,
-    "sony-eld": 20,
-    "lrd-eld": 20,
-    "led-eld": 32,
-    "eld-srgb": 40,
-}
+ELD_COUNTS = dict.fromkeys(("eld", "eld-uncorrected", "eld-srgb"), 40) | {"led-eld": 32}
+ELD_COUNTS |= dict.fromkeys(("pmn-eld", "sony-eld", "lrd-eld"), 20)
 
 
 @pytest.mark.parametrize("name", ELD_COUNTS)
@@ -311,28 +283,27 @@ def test_protocols_of_sid(name: str, sid: Pairs) -> None:
 def test_each_protocol_has_as_many_pairs_as_were_published() -> None:
     """Of the shipped sets; the trees above hold a few of them."""
     counts = {
-        ("eld", "eld"): 240,
-        ("eld", "pmn-eld"): 60,
-        ("eld", "sony-eld"): 60,
-        ("eld", "lrd-eld"): 60,
-        ("eld", "led-eld"): 96,
-        ("sid-sony", "sid"): 129,
-        ("sid-sony", "pmn-sid"): 129,
-        ("sid-sony", "sony-sid"): 129,
-        ("crvd", "rvidenet-crvd"): 175,
-        ("crvd", "florn-crvd"): 175,
-        ("sid-sony", "lrd-sid"): 129,
-        ("sid-sony", "led-sid"): 93,
-        ("sid-sony", "eld-cvpr20"): 45,
-        ("sid-sony", "sid-tpami"): 129,
-        ("sid-sony", "sid-srgb"): 129,
-        ("sid-sony", "sid2018"): 93,
-        ("sid-fuji", "sid2018"): 94,
+        240: ["eld eld"],
+        60: ["eld pmn-eld", "eld sony-eld", "eld lrd-eld"],
+        96: ["eld led-eld"],
+        129: [f"sid-sony {name}" for name in ("sid", "pmn-sid", "sony-sid", "lrd-sid", "sid-tpami", "sid-srgb")],
+        175: ["crvd rvidenet-crvd", "crvd florn-crvd"],
+        93: ["sid-sony led-sid", "sid-sony sid2018"],
+        45: ["sid-sony eld-cvpr20"],
+        94: ["sid-fuji sid2018"],
     }
-    assert {of: len(scored_pairs(*of)) for of in counts} == counts
+    for count, names in counts.items():
+        assert [len(scored_pairs(*name.split())) for name in names] == [count] * len(names), names
     assert {pair.scene for pair in scored_pairs("eld", "led-eld")} == {f"scene-{number}" for number in range(3, 11)}
     for name in ("led-sid", "sid2018"):
         assert {pair.split for pair in scored_pairs("sid-sony", name)} == {"test"}
+
+
+def test_a_protocols_own_subset_is_the_only_one() -> None:
+    with pytest.raises(
+        ArgumentError, match="'eld-cvpr20' scores the subset 'indoor-15', not 'eval-first'; leave the sub"
+    ):
+        scored_pairs("sid-sony", "eld-cvpr20", subset="eval-first")
 
 
 def test_frames_that_are_too_small_for_a_region(sid: Pairs) -> None:

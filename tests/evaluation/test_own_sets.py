@@ -1,8 +1,9 @@
-"""Sets of one's own, choices of a protocol that come to the same, references that cannot be decoded."""
+"""Sets of one's own, of DNGs and of arrays; choices of a protocol that come to the same; undecodable files."""
 
 from __future__ import annotations
 
 import gc
+import re
 import shutil
 import weakref
 from dataclasses import replace
@@ -12,60 +13,41 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from eldata import SyntheticPairs
 from eldata.base.workers import Workers
-from eldata.errors import ArgumentError
-from eldata.evaluation import evaluate, save_prediction
+from eldata.datasets import CleanFrames
+from eldata.datasets.synthetic.synthesis import Recipe, synthesize
+from eldata.errors import ArgumentError, EldataError
+from eldata.evaluation import evaluate
 from eldata.evaluation.evaluate import perform_each
-from eldata.evaluation.published import comparison_table
 from eldata.evaluation.request import make_request
 from eldata.manifest.card import Subset, save_card
-from eldata.manifest.catalogue import load_manifest, shipped_manifest
+from eldata.manifest.catalogue import load_manifest, save_manifest
 from eldata.manifest.table import save_records
-from eldata.metrics.registry import IMAGES
+from eldata.noise import CameraProfile
 from eldata.protocols import PROTOCOLS
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
-from tests.drv_tree import small_drv
-from tests.evaluation import oracle
-from tests.evaluation.helpers import scored_pairs
-from tests.evaluation.own_set import OwnSet, build_own_set
-from tests.sid_tree import SENSORS, exposure_of, frames_of, mosaic_of
+from eldata.raw.stated import MosaicFacts
+from eldata.sources.store import build_store, source_of_dataset
+from tests.evaluation.own_set import BLACK, WHITE, OwnSet, build_own_set, predict
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from eldata.evaluation import EvaluationResult
     from eldata.records import RawFrame
+    from tests.drv_tree import SmallDrv
     from tests.evaluation.helpers import Tree
-
-
-def predict(own: OwnSet, folder: Path, *, scenes: int = 1, ratios: tuple[int, ...] = (50, 100)) -> Path:
-    generator = np.random.default_rng(3)
-    for scene in range(scenes):
-        target = oracle.reference(own.files / f"s{scene}/clean.dng")
-        for ratio in ratios:
-            noisy = 1.1 * target + generator.normal(0, 0.02, target.shape)
-            save_prediction(folder, f"s{scene}/x{ratio}.dng", noisy.astype(np.float32))
-    return folder
-
-
-@pytest.fixture(scope="module")
-def own(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
-    return build_own_set(tmp_path_factory.mktemp("own"), scenes=2)
-
-
-@pytest.fixture(scope="module")
-def preds(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return predict(own, tmp_path_factory.mktemp("preds"), scenes=2)
 
 
 # --- one pass ---------------------------------------------------------------------------------------------------------
 
 
-def test_frames_are_gone_before_the_next_ones_are_read(
-    own: OwnSet, preds: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_frames_are_gone_before_the_next_ones_are_read(own: OwnSet, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without Python's search for circles, in which frames of hundreds of megabytes would wait for it."""
     from eldata.raw import reading
 
@@ -82,7 +64,7 @@ def test_frames_are_gone_before_the_next_ones_are_read(
     monkeypatch.setattr(reading, "read_raw", watched)
     gc.disable()
     try:
-        evaluate(preds, **own.where)
+        evaluate(own.predictions, **own.where)
     finally:
         gc.enable()
     assert alive == [0, 0]
@@ -92,39 +74,27 @@ def test_frames_are_gone_before_the_next_ones_are_read(
 
 
 @pytest.fixture(scope="module")
-def sony(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """SID's frames of the first factor with black level 512, and predictions: the root, the folder."""
-    root = tmp_path_factory.mktemp("sony")
-    manifest = shipped_manifest("sid-sony")
-    wanted = {pair.path: pair.reference for pair in scored_pairs("sid-sony", "sid")}
-    generator = np.random.default_rng(8)
-    for record in frames_of(manifest, set(wanted)):
-        path = root / "SID" / record.path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        sensor = replace(SENSORS["sid-sony"], black_level_dn=(512.0,) * 4)
-        write_dng(path, mosaic_of("sid-sony", record), sensor, exposure_of(record))
-        if record.path in wanted:
-            save_prediction(root / "preds", record.path, generator.uniform(0, 1, (4, 20, 30)).astype(np.float32))
-    return root, root / "preds"
+def flat(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
+    """A set whose files state black level 512, with predictions."""
+    flat = build_own_set(tmp_path_factory.mktemp("flat"), scenes=2, black=(512.0,) * 4)
+    predict(flat, flat.predictions, 0.02)
+    return flat
 
 
-def test_names_that_share_a_score(sony: tuple[Path, Path]) -> None:
+def test_names_that_share_a_score(flat: OwnSet) -> None:
     """``sid`` takes the files' black level, ``pmn-sid`` 512, and these files say 512."""
-    root, preds = sony
-    sid, pmn = (evaluate(preds, "sid-sony", root=root, protocol=name) for name in ("sid", "pmn-sid"))
-    assert sid.scored == 129
+    sid, pmn = (evaluate(flat.predictions, **flat.where, protocol=name) for name in ("sid", "pmn-sid"))
+    assert sid.scored == 4
     assert sid.scores == pmn.scores
     assert sid.scored_unlike(pmn) == []
     assert pmn.provenance["equal_choices"] == {"levels": ["published", "sid-sony"]}
-    assert not pmn.notes
-    assert comparison_table(pmn).count("> yours") == comparison_table(sid).count("> yours") == 3
+    assert not any("was taken for every file" in note for note in pmn.notes)
 
 
-def test_the_input_has_its_amplification_too(sony: tuple[Path, Path], own: OwnSet, tmp_path: Path) -> None:
+def test_the_input_has_its_amplification_too(flat: OwnSet, own: OwnSet, tmp_path: Path) -> None:
     """The files' ratio is the manifest's, or it is not."""
-    root, _ = sony
     both = ["metadata", "nominal"]
-    result = evaluate(None, "sid-sony", root=root, protocol="pmn-sid", baseline="input")
+    result = evaluate(None, **flat.where, protocol="pmn-sid", baseline="input")
     assert result.provenance["equal_choices"] == {"levels": ["published", "sid-sony"], "amplification": both}
     records = load_manifest(own.manifest).records
     other = [replace(record, ratio=Fraction(99) if record.ratio == 100 else record.ratio) for record in records]
@@ -143,7 +113,7 @@ def test_the_input_has_its_amplification_too(sony: tuple[Path, Path], own: OwnSe
     assert of_predictions.scored_unlike(PROTOCOLS["sid"]) == []
 
 
-def test_levels_of_a_dng_count(own: OwnSet, tmp_path: Path) -> None:
+def test_levels_of_a_dng_count(own: OwnSet, flat: OwnSet, tmp_path: Path) -> None:
     """A prediction that is a DNG is normalised with its own levels, which have to agree as well."""
     preds = tmp_path / "p"
     frame = read_raw(own.files / "s0/clean.dng")
@@ -159,10 +129,6 @@ def test_levels_of_a_dng_count(own: OwnSet, tmp_path: Path) -> None:
         return found
 
     assert equal(own, "eld") == {"levels": ["published"]}
-    flat = build_own_set(tmp_path / "flat", scenes=2)
-    for path in flat.files.rglob("*.dng"):
-        frame = read_raw(path)
-        write_dng(path, frame.mosaic, replace(frame.sensor, black_level_dn=(512.0,) * 4), frame.exposure)
     assert equal(flat, "eld") == {"levels": ["published", "sid-sony"]}
     assert equal(flat, "lrd-sid") == {"levels": ["metadata", "metadata-per-channel"]}
     write_dng(preds / "s0/x50.dng", frame.mosaic, replace(sensor, black_level_dn=(500.0,) * 4), frame.exposure)
@@ -172,39 +138,21 @@ def test_levels_of_a_dng_count(own: OwnSet, tmp_path: Path) -> None:
 # --- sets of one's own ------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def ten_bits(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
-    """Files of a camera of 10 bits: black 64, white 1023, as they state."""
-    own = build_own_set(tmp_path_factory.mktemp("ten"))
-    for path in own.files.rglob("*.dng"):
-        frame = read_raw(path)
-        mosaic = (frame.mosaic.astype(np.float64) - 512).clip(-200) * 959 / 14788 + 64
-        sensor = replace(frame.sensor, black_level_dn=(64.0,) * 4, white_level_dn=1023.0)
-        write_dng(path, np.rint(mosaic).clip(0, 1023).astype(np.uint16), sensor, frame.exposure)
-    return own
-
-
-def test_another_white_level_than_the_files_is_said(ten_bits: OwnSet, tmp_path: Path) -> None:
-    """With both numbers, of the input as of predictions."""
-    said = (
-        "the files of Mine saturate at 1023 DN, and the protocol divides by 16383: --protocol raw takes the files' own "
-        "white level"
-    )
-    for ratio in (50, 100):
-        save_prediction(tmp_path / "p", f"s0/x{ratio}.dng", np.full((4, 30, 42), 0.02, np.float32))
-    for given in ({"predictions": None, "baseline": "input"}, {"predictions": tmp_path / "p"}):
-        assert evaluate(**given, **ten_bits.where, protocol="eld").notes.count(said) == 1
-        assert not any("saturate" in note for note in evaluate(**given, **ten_bits.where, protocol="lrd-sid").notes)
-
-
-@pytest.mark.parametrize(("white_dn", "is_said"), [(16056.0, False), (16055.0, True), (16711.0, True)])
-def test_two_percent_of_the_white_level_are_usual(white_dn: float, is_said: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("white_dn", "is_said"), [(1023.0, True), (16055.0, True), (16056.0, False), (16711.0, True)])
+def test_a_white_level_that_is_off_by_two_percent_is_said(white_dn: float, is_said: bool, tmp_path: Path) -> None:
+    """With both numbers, of the input as of predictions, unless the protocol takes the files' own."""
     own = build_own_set(tmp_path)
     for path in own.files.rglob("*.dng"):
         frame = read_raw(path)
-        write_dng(path, frame.mosaic, replace(frame.sensor, white_level_dn=white_dn), frame.exposure)
-    result = evaluate(None, **own.where, protocol="eld", baseline="input")
-    assert any(f"saturate at {white_dn:g} DN" in note for note in result.notes) == is_said
+        mosaic = np.minimum(frame.mosaic, int(white_dn))
+        write_dng(path, mosaic, replace(frame.sensor, white_level_dn=white_dn), frame.exposure)
+    words = (
+        f"the files of Mine saturate at {white_dn:g} DN, and the protocol divides by 16383: --protocol raw takes the "
+        "files' own white level"
+    )
+    for given in ({"predictions": None, "baseline": "input"}, {"predictions": predict(own, tmp_path / "p", 0.02)}):
+        assert (words in evaluate(**given, **own.where, protocol="eld").notes) == is_said
+        assert not any("saturate" in note for note in evaluate(**given, **own.where, protocol="lrd-sid").notes)
 
 
 def test_white_levels_of_several_cameras_are_one_line(tree: Tree) -> None:
@@ -215,33 +163,19 @@ def test_white_levels_of_several_cameras_are_one_line(tree: Tree) -> None:
     assert note.startswith("the files of DemoBeta saturate at 15303 DN, and the protocol divides by 16383:")
 
 
-@pytest.mark.parametrize("name", [name for name, one in PROTOCOLS.items() if one.space == "raw" and one.kind is IMAGES])
-def test_any_protocol_scores_whatever_factors_a_set_has(name: str, own: OwnSet, preds: Path) -> None:
-    result = evaluate(preds, **own.where, protocol=name)
-    assert result.provenance["ratios"] == [50, 100]
-    protocol = PROTOCOLS[name]
-    chooses = protocol.ratios or protocol.cameras or protocol.scenes or protocol.subset
-    assert bool(result.provenance["set_aside"]) == bool(chooses)
-    if not PROTOCOLS[name].region.startswith("centre"):
-        assert result.scored == 4
-    if name == "eld":
-        assert result.notes[0] == (
-            "this set's own pairs are scored (x50, x100), not those of the protocol: factors x100, x200"
-        )
-
-
 @pytest.mark.parametrize(
-    ("ratios", "scored", "set_aside"),
-    [((100, 200), [100, 200], []), ((1, 10, 100, 200), [100, 200], []), ((100,), [100], ["factors x100, x200"])],
+    ("ratios", "scored"), [((100, 200), [100, 200]), ((1, 10, 100, 200), [100, 200]), ((50, 100), [50, 100])]
 )
 def test_a_set_with_all_of_the_protocols_factors_is_scored_at_them(
-    ratios: tuple[int, ...], scored: list[int], set_aside: list[str], tmp_path: Path
+    ratios: tuple[int, ...], scored: list[int], tmp_path: Path
 ) -> None:
     own = build_own_set(tmp_path, ratios=ratios)
-    preds = predict(own, tmp_path / "p", ratios=ratios)
+    preds = predict(own, tmp_path / "p", 0.02)
     result = evaluate(preds, **own.where, protocol="eld")
     assert result.provenance["ratios"] == scored
-    assert result.provenance["set_aside"] == set_aside
+    aside = "this set's own pairs are scored (x50, x100), not those of the protocol: factors x100, x200"
+    assert result.provenance["set_aside"] == (["factors x100, x200"] if scored[0] == 50 else [])
+    assert (aside in result.notes) == (scored[0] == 50)
     assert {image.ratio for image in result.scores} == set(scored)
 
 
@@ -297,7 +231,7 @@ def spoil_pixels(path: Path) -> None:
 
 def test_a_reference_that_cannot_be_decoded_is_the_problem_of_its_pairs(tmp_path: Path) -> None:
     own = build_own_set(tmp_path, scenes=2)
-    predict(own, tmp_path / "p", scenes=2)
+    predict(own, tmp_path / "p", 0.02)
     spoil_pixels(own.files / "s0/clean.dng")
     found = evaluate(tmp_path / "p", **own.where)
     assert [problem.path for problem in found.problems] == ["s0/x100.dng", "s0/x50.dng"]
@@ -319,13 +253,12 @@ def test_a_noisy_frame_that_cannot_be_decoded_is_the_problem_of_its_pair(tmp_pat
 # --- errors of our own ------------------------------------------------------------------------------------------------
 
 
-def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Path, tmp_path: Path) -> None:
+def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, drv: SmallDrv) -> None:
     """It is not a problem of the data, of images and clips alike, whatever is allowed to be missing."""
-    drv = small_drv(tmp_path / "drv", ("0007",), 12)
     broken = replace(PROTOCOLS["eld"], name="broken"), replace(PROTOCOLS["drv-rgb"], name="broken")
     for protocol in broken:
         object.__setattr__(protocol, "region", 1)  # as a mistake of ours might, past all checks
-    images = make_request(preds, "", None, manifest=own.manifest, root=own.root, allow_missing=True)
+    images = make_request(own.predictions, "", None, manifest=own.manifest, root=own.root, allow_missing=True)
     clips = make_request(None, "", None, manifest=drv.csv, root=drv.root, ids=["0007"], baseline="input")
     for request, protocol, unit in zip((images, clips), broken, ("s0/clean.dng", "long/0007/"), strict=True):
         with pytest.raises(TypeError) as caught:
@@ -333,3 +266,96 @@ def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Pa
         assert any(
             note.startswith(f"while the predictions for the reference {unit}") for note in caught.value.__notes__
         )
+
+
+# --- files that are arrays of floats, with levels on the card: as the same whole numbers in DNGs ----------------------
+
+
+FILE_LEVELS = ("lrd-eld", "led-eld")
+"""Protocols with the files' own levels; LibRaw knows none of each channel for these files."""
+
+
+def rewritten(own: OwnSet, folder: Path, which: str, scale: float = 1.0, hot: float | None = None) -> OwnSet:
+    """The set with some files as floats, divided by ``scale``, one pixel of which is set to ``hot`` times white."""
+    shutil.copytree(own.manifest.parent, folder, dirs_exist_ok=True)
+    copy = OwnSet(folder / own.manifest.name, folder / "data")
+    loaded = load_manifest(own.manifest)
+    white = round(WHITE / scale)
+    facts = MosaicFacts("*.npy", "GBRG", tuple(level / scale for level in BLACK), white)
+    renamed = {}
+    for path in sorted(copy.files.glob(which)):
+        mosaic = read_raw(path).mosaic
+        values = (mosaic / np.float64(scale)).astype(np.float32)
+        if hot is not None:
+            values[np.unravel_index(mosaic.argmax(), mosaic.shape)] = hot * white
+        np.save(path.with_suffix(".npy"), values)
+        path.unlink()
+        row = path.relative_to(copy.files).as_posix()
+        renamed[row] = row.replace(".dng", ".npy")
+    rows = [
+        replace(row, path=renamed.get(row.path, row.path), reference=renamed.get(row.reference or "", row.reference))
+        for row in loaded.records
+    ]
+    save_manifest(copy.manifest, replace(loaded.card, mosaics=(facts,)), rows)
+    return copy
+
+
+def scored(own: OwnSet, protocol: str) -> EvaluationResult:
+    return evaluate(None, baseline="input", **own.where, protocol=protocol)
+
+
+def figures(result: EvaluationResult) -> list[tuple[str, float, float]]:
+    return [(one.path.partition(".")[0], one.psnr_db, one.ssim) for one in result.scores]
+
+
+@pytest.mark.parametrize("which", ["*/clean.dng", "*/*.dng"], ids=["references", "all"])
+@pytest.mark.parametrize("protocol", [*FILE_LEVELS, "eld"])
+def test_floats_of_the_same_numbers_score_the_same(own: OwnSet, protocol: str, which: str, tmp_path: Path) -> None:
+    floats = rewritten(own, tmp_path, which)
+    assert figures(scored(floats, protocol)) == figures(scored(own, protocol))
+
+
+@pytest.mark.parametrize("protocol", FILE_LEVELS)
+def test_shares_of_white_score_the_same_and_no_bright_pixel_matters(own: OwnSet, protocol: str, tmp_path: Path) -> None:
+    """float32 has seven digits."""
+    shares = rewritten(own, tmp_path, "*/clean.dng", scale=15300, hot=1.5)
+    for one, other in zip(figures(scored(shares, protocol)), figures(scored(own, protocol)), strict=True):
+        assert one[0] == other[0]
+        assert one[1:] == pytest.approx(other[1:], abs=1e-5)
+
+
+def test_shares_of_white_are_not_scored_against_a_white_level_in_dn(own: OwnSet, tmp_path: Path) -> None:
+    shares = rewritten(own, tmp_path, "*/clean.dng", scale=15300)
+    result = scored(shares, "eld")
+    assert result.scores == ()
+    reasons = {str(problem) for problem in result.problems}
+    assert len(reasons) == 4
+    assert all(
+        re.search(r"clean\.npy: its white level is 1, .* white level of 16383 .* is in DN", one) for one in reasons
+    )
+
+
+def test_clean_frames_in_dn_are_taken_and_shares_of_white_are_not(
+    own: OwnSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    profile = CameraProfile.load("SonyA7S2")
+
+    def pair(of: OwnSet) -> Mapping[str, Any]:
+        monkeypatch.setenv("ELDATA_ROOT", str(of.root))
+        return SyntheticPairs(CleanFrames(of.manifest), profiles=profile, crop=16)[0]
+
+    one, other = pair(rewritten(own, tmp_path / "dn", "*/clean.dng")), pair(own)
+    assert np.array_equal(one["target"].numpy(), other["target"].numpy())
+    assert np.array_equal(one["input"].numpy(), other["input"].numpy())
+    with pytest.raises(EldataError, match=r"clean\.npy: its white level is 1, .* noise is in DN"):
+        pair(rewritten(own, tmp_path / "shares", "*/clean.dng", scale=15300))
+
+
+def test_what_needs_whole_dn_names_the_file(own: OwnSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    floats = rewritten(own, tmp_path, "*/*.dng")
+    monkeypatch.setenv("ELDATA_ROOT", str(floats.root))
+    refused = r"[a-z0-9]*\.npy: its pixels are no whole DN.*as the camera wrote them"
+    with pytest.raises(EldataError, match=refused):
+        build_store(source_of_dataset("mine", **floats.where), tmp_path / "a.h5")
+    with pytest.raises(EldataError, match=refused):
+        synthesize(floats.manifest, tmp_path / "out", Recipe(CameraProfile.load("SonyA7S2")))

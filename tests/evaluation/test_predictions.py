@@ -1,8 +1,16 @@
+"""Predictions in every format; what is wrong is named; strangers' files cost neither memory nor other files."""
+
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import shutil
+import subprocess
+import sys
+import tracemalloc
+import zlib
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -11,15 +19,19 @@ import numpy as np
 import pytest
 import tifffile
 
-from eldata.errors import PredictionError
-from eldata.evaluation import evaluate, load_prediction, save_prediction
+from eldata.base.arrays import decode_png
+from eldata.datasets import DRVDataset
+from eldata.errors import ArgumentError, PredictionError
+from eldata.evaluation import evaluate, load_prediction, save_clip_prediction, save_prediction
 from eldata.evaluation.predictions import load_colours
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure
+from tests.evaluation import hostile_predictions as hostile
 from tests.evaluation import oracle
 from tests.evaluation.helpers import SIZE, Tree, place
 from tests.evaluation.prediction_files import (
+    AWKWARD,
     FILES,
     OF_PACKED,
     h5,
@@ -29,6 +41,7 @@ from tests.evaluation.prediction_files import (
     save_png,
     tif,
 )
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,6 +50,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.evaluation import EvaluationResult
+    from tests.drv_tree import SmallDrv
+    from tests.evaluation.prediction_files import Writer
+
 
 PACKED = (4, SIZE[0] // 2, SIZE[1] // 2)
 VICTIM = "DemoAlpha/scene-1/IMG_0004.dng"
@@ -69,12 +85,29 @@ def test_a_dng_is_read_with_its_own_black_and_the_published_white(tree: Tree, tm
     np.testing.assert_allclose(found, (dn - black) / (oracle.WHITE_DN - black), rtol=1e-6)
 
 
-def test_save_prediction_is_found_and_read_back(tree: Tree, tmp_path: Path) -> None:
+def test_save_prediction_is_found_and_read_back(tree: Tree, drv: SmallDrv, tmp_path: Path) -> None:
     sensor = read_raw(tree.files / VICTIM).sensor
     values = np.random.default_rng(3).random(PACKED, dtype=np.float32)
     path = save_prediction(tmp_path / "new" / "folder", VICTIM, values)
     assert path == tmp_path / "new" / "folder" / "DemoAlpha" / "scene-1" / "IMG_0004.npy"
     assert np.array_equal(load_prediction(path, sensor, "published"), values)
+    record = DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records[0]
+    with pytest.raises(ArgumentError, match="expected 5 predicted frames, found 4"):
+        save_clip_prediction(tmp_path, record, np.zeros((4, *PACKED)))
+
+
+@pytest.mark.parametrize("name", AWKWARD)
+def test_a_prediction_takes_less_than_three_times_its_array(name: str, tree: Tree, tmp_path: Path) -> None:
+    """The array as it is loaded; a mosaic is packed into another, so twice is the least."""
+    kind, save = FILES[name]
+    for size in (SIZE, (512, 768)):  # what is loaded on first use is not counted
+        save(tmp_path / name, quantised(np.random.default_rng(3).random(size), kind)[0])
+        sensor = replace(read_raw(tree.files / VICTIM).sensor, height=size[0], width=size[1])
+        tracemalloc.start()
+        loaded = load_prediction(tmp_path / name, sensor, "metadata")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert 1.4 < peak / loaded.nbytes < 3
 
 
 # --- what is wrong is named -----------------------------------------------------------------------------------
@@ -101,40 +134,33 @@ def spoilt(value: float) -> NDArray[np.float32]:
     return array
 
 
-def cut(write: Callable[[Path, NDArray[Any]], None], share: float = 0.6) -> Callable[[Path], None]:
-    """A writer of a truncated file."""
+def spoil(write: Writer, change: Callable[[bytes], bytes]) -> Callable[[Path], None]:
+    """A writer of a file whose content is changed."""
 
     def save(path: Path) -> None:
         write(path, np.rint(oracle_mosaic() * 65535).astype(np.uint16))
-        content = path.read_bytes()
-        path.write_bytes(content[: int(len(content) * share)])
+        path.write_bytes(change(path.read_bytes()))
 
     return save
 
 
-def longer(write: Callable[[Path, NDArray[Any]], None], share: float = 0.75, count: int = 6) -> Callable[[Path], None]:
-    """A writer of a file in which bytes were inserted: without a checksum all that follow are read shifted."""
-
-    def save(path: Path) -> None:
-        write(path, np.rint(oracle_mosaic() * 65535).astype(np.uint16))
-        content = path.read_bytes()
-        place = int(len(content) * share)
-        path.write_bytes(content[:place] + b"\7" * count + content[place:])
-
-    return save
+def cut(write: Writer, share: float = 0.6) -> Callable[[Path], None]:
+    return spoil(write, lambda content: content[: int(len(content) * share)])
 
 
-def damaged(write: Callable[[Path, NDArray[Any]], None]) -> Callable[[Path], None]:
-    """A writer of a file with bytes in the middle changed, of a format that would notice."""
+def longer(write: Writer, share: float = 0.75) -> Callable[[Path], None]:
+    """With six bytes more: without a checksum all that follow are read shifted."""
+    return spoil(write, lambda content: content[: (at := int(len(content) * share))] + b"\7" * 6 + content[at:])
 
-    def save(path: Path) -> None:
-        write(path, np.rint(oracle_mosaic() * 65535).astype(np.uint16))
-        content = bytearray(path.read_bytes())
+
+def damaged(write: Writer) -> Callable[[Path], None]:
+    """With bytes in the middle changed, of a format that would notice."""
+
+    def change(content: bytes) -> bytes:
         middle = len(content) // 2
-        content[middle : middle + 16] = bytes(255 - byte for byte in content[middle : middle + 16])
-        path.write_bytes(content)
+        return content[:middle] + bytes(255 - byte for byte in content[middle : middle + 16]) + content[middle + 16 :]
 
-    return save
+    return spoil(write, change)
 
 
 def oracle_mosaic() -> NDArray[np.float64]:
@@ -167,8 +193,6 @@ def png(make: Callable[[], NDArray[Any]]) -> Callable[[Path], None]:
 
 
 def save_dng(path: Path, mosaic: NDArray[Any], cfa: tuple[tuple[int, ...], ...] = ((0, 1), (3, 2))) -> None:
-    from dataclasses import replace
-
     from eldata.demo.camera import CAMERAS
 
     sensor = replace(CAMERAS[0].with_size(*mosaic.shape).sensor, cfa=cfa)
@@ -196,6 +220,7 @@ BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     # Packed channels have the shape of a channels-last array, but no PNG can be channels-first.
     "png-rgb": (".png", png(lambda: np.full((*SIZE, 3), 999, np.uint16)), [*SHAPES, "(64, 96, 3)", "PNG", "grey"]),
     "dng-size": (".dng", lambda path: save_dng(path, oracle_mosaic()[:32] * 9999), ["64 x 96", "32 x 96"]),
+    "dng-larger": (".dng", lambda path: save_dng(path, np.ones((256, 256))), ["64 x 96", "one of 65536 pixels"]),
     "dng-phase": (
         ".dng",
         lambda path: save_dng(path, oracle_mosaic() * 9999, ((1, 0), (2, 3))),
@@ -291,64 +316,6 @@ def test_a_pickle_is_refused_and_never_run(
     assert not (tmp_path / "marker").exists()
 
 
-# --- finding --------------------------------------------------------------------------------------------------
-
-
-def test_extra_predictions_are_named(tree: Tree, alpha: Path) -> None:
-    extra = ["DemoAlpha/scene-1/IMG_0017.npy", "DemoAlpha/scene-9/IMG_0004.npy", "IMG_0004.tif"]
-    for name in extra:
-        (alpha / name).parent.mkdir(exist_ok=True)
-        np.save(alpha / "x.npy", good())
-        (alpha / "x.npy").rename(alpha / name)
-    result = run(alpha, tree)
-    assert sorted(problem.path for problem in result.problems) == extra
-    assert all("noisy frame" in problem.reason for problem in result.problems)
-    assert result.scores == ()
-    allowed = run(alpha, tree, allow_missing=True)
-    assert sorted(problem.path for problem in allowed.problems) == extra
-    assert len(allowed.scores) == 6
-
-
-def test_two_extensions_are_ambiguous(tree: Tree, alpha: Path) -> None:
-    tif()((alpha / VICTIM).with_suffix(".tif"), good())
-    result = run(alpha, tree)
-    (problem,) = result.problems
-    assert problem.path == VICTIM
-    for word in ("expected one", "found 2", "IMG_0004.npy", "IMG_0004.tif", "keep one"):
-        assert word in problem.reason
-    assert result.scores == ()
-    allowed = run(alpha, tree, allow_missing=True)
-    assert allowed.missing == (VICTIM,)
-    assert len(allowed.problems) == 1
-    assert len(allowed.scores) == 5
-
-
-def test_hidden_and_unrelated_files_are_ignored(tree: Tree, alpha: Path) -> None:
-    before = run(alpha, tree)
-    for name in (
-        *(".DS_Store", ".IMG_0004.npy.x7.part", ".hidden.npy", ".cache/IMG_0004.npy", "notes.txt", "config.json"),
-        *("DemoAlpha/scene-1/IMG_0004.txt", "DemoAlpha/scene-1/._IMG_0004.npy", "DemoAlpha/preview.jpg"),
-    ):
-        (alpha / name).parent.mkdir(exist_ok=True)
-        (alpha / name).write_bytes(b"whatever")
-    after = run(alpha, tree)
-    assert not after.problems
-    assert after.scores == before.scores
-    assert after.notes == before.notes
-
-
-def test_predictions_of_other_factors_are_counted_in_a_note(tree: Tree, alpha: Path) -> None:
-    before = run(alpha, tree)
-    for number in (2, 3, 7):  # x1, x10, x1
-        np.save(alpha / f"DemoAlpha/scene-1/IMG_{number:04d}.npy", good())
-    after = run(alpha, tree)
-    assert not after.problems
-    assert after.scores == before.scores
-    (note,) = set(after.notes) - set(before.notes)
-    assert note.endswith("leaves their frames out: 3 predictions")
-    assert "not scored" in after.format_text()
-
-
 # --- scale ----------------------------------------------------------------------------------------------------
 
 
@@ -404,11 +371,7 @@ def test_integers_become_the_same_floats_as_by_division(bits: int, pixels: Any, 
     [
         ("srgb", np.zeros((6, 8)), "one grey channel"),
         ("srgb", np.zeros((4, 6, 8)), "packed raw, or with alpha"),
-        (
-            "srgb",
-            np.zeros((6, 7, 3)),
-            r"expected \(6, 8, 3\) or \(3, 6, 8\), found \(6, 7, 3\); render the whole",
-        ),
+        ("srgb", np.zeros((6, 7, 3)), r"expected \(6, 8, 3\) or \(3, 6, 8\), found \(6, 7, 3\); render the whole"),
         ("srgb", np.full((6, 8, 3), 200.0), "divide by 65535 or 255"),
         ("srgb", np.full((6, 8, 3), np.nan), "finite"),
         ("rgb", np.zeros((6, 8, 3)), "channels-last"),
@@ -428,3 +391,78 @@ def test_a_dng_is_neither_rendering_nor_frame(tmp_path: Path) -> None:
     for pixels, kind in (("srgb", "a rendering in sRGB"), ("rgb", "an RGB frame")):
         with pytest.raises(PredictionError, match=f"expected {kind}, found a DNG"):
             load_colours(tmp_path / "x.dng", RGB_SHAPE, pixels)  # type: ignore[arg-type] # of either
+
+
+# --- strangers' predictions: each that asks for too much is refused by name -------------------------------------------
+
+
+MOST_KIB = 32 << 10
+"""More than a frame of 25 kB and what libraries allocate once, far less than the 64 MiB that each bomb expands to."""
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What became of each prediction, in a process of its own."""
+    folder = tmp_path_factory.mktemp("hostile")
+    names = hostile.write_all(folder)
+    command = [sys.executable, "-m", "tests.evaluation.hostile_predictions", str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr[-2000:]  # the last name is the file that it ended with
+    found: dict[str, Any] = json.loads(done.stdout)
+    assert sorted(found["outcomes"]) == names
+    return found
+
+
+def test_every_one_is_refused_in_one_line(outcomes: dict[str, Any]) -> None:
+    assert len(outcomes["outcomes"]) > 70
+    for name, outcome in outcomes["outcomes"].items():
+        assert outcome.startswith("refused: "), f"{name}: {outcome}"
+        assert outcome.isprintable(), name
+        assert 25 < len(outcome) < 300, outcome
+
+
+def test_none_takes_memory_to_speak_of(outcomes: dict[str, Any]) -> None:
+    assert outcomes["peak_kib"] - outcomes["before_kib"] < MOST_KIB
+
+
+def test_no_other_file_is_shown(outcomes: dict[str, Any]) -> None:
+    assert hostile.ELSEWHERE not in json.dumps(outcomes)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("shape-of-terabytes.npy", ["(4, 32, 48) (packed) or (64, 96) (mosaic)", "found (4, 1000000, 1000000)"]),
+        ("type-of-records.npy", ["not a .npy file of numbers", "write it again"]),
+        ("right-shape-and-one-byte-less.npy", ["declares 24576 bytes of values and has 24575", "write it again"]),
+        ("named-pipe.npy", ["is a pipe, device or socket, not a file"]),
+        ("link-to-a-device.h5", ["is a pipe, device or socket, not a file"]),
+        ("folder.tif", ["is a folder, not a file"]),
+        ("bomb-after-the-array.npz", ["declares 24576 bytes of values and has 67108864: were bytes inserted?"]),
+        ("fill-values-of-gigabytes.h5", ["found (4, 30000, 30000)", "whole frame"]),
+        ("right-shape-half-written.h5", ["2 of its 4 chunks were written"]),
+        ("external-link.h5", ["expected one array, or one called 'prediction'; found none"]),
+        ("external-storage.h5", ["lie in other files"]),
+        ("virtual.h5", ["lie in other files"]),
+        ("checksum.h5", ["filter returned failure"]),
+        ("30000-by-30000.png", ["found (30000, 30000)"]),
+        ("30000-by-30000.tif", ["found (30000, 30000)"]),
+        ("strips-missing.tif", ["strips or tiles are missing"]),
+        ("no-pages.tif", ["holds no image"]),
+    ],
+)
+def test_what_is_wrong_is_said(name: str, words: list[str], outcomes: dict[str, Any]) -> None:
+    for word in words:
+        assert word in outcomes["outcomes"][name]
+
+
+# --- what is odd and good ---------------------------------------------------------------------------------------------
+
+
+def test_what_is_not_pixels_is_passed_over(tmp_path: Path) -> None:
+    """Compressed text that libpng would expand, and a gamma and a profile, which change no sample."""
+    text = hostile.chunk(b"zTXt", b"Comment\0\0" + zlib.compress(bytes(7 << 20), 9))
+    gamma = hostile.chunk(b"gAMA", (45455).to_bytes(4, "big"))
+    path = tmp_path / "x.png"
+    path.write_bytes(hostile.png(hostile.header(), gamma, *[text] * 50, hostile.PIXELS))
+    assert np.array_equal(decode_png(path.read_bytes()), hostile.grey())

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from eldata.errors import ArgumentError, EldataError, PredictionError
-from eldata.evaluation import evaluate, save_clip_prediction, save_prediction, scored_pairs
+from eldata.evaluation import evaluate, save_prediction, scored_pairs
 from eldata.metrics import psnr, ssim
 from eldata.metrics.registry import IMAGES
 from eldata.protocols import PROTOCOLS
 from eldata.records import PairRecord
-from tests.drv_tree import rgb_frame_of, small_drv, still_of
-from tests.evaluation.own_set import OwnSet, build_own_set, predict
+from tests.drv_tree import SmallDrv, still_of
+from tests.evaluation.own_set import OwnSet, predict
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,15 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.protocols import Protocol
-
-
-@pytest.fixture(scope="module")
-def own(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
-    """Two scenes of a reference and two noisy frames, and predictions in ``preds`` beside them. Not to be changed."""
-    folder = tmp_path_factory.mktemp("own")
-    own = build_own_set(folder, scenes=2)
-    predict(own, folder / "preds", 0.02)
-    return own
 
 
 def measured(prediction: NDArray[Any], reference: NDArray[Any], protocol: Protocol) -> tuple[float, float]:
@@ -51,10 +42,13 @@ OF_RAW = [name for name in OF_RAW if PROTOCOLS[name].space == "raw"]
 @pytest.mark.parametrize("name", OF_RAW)
 def test_what_is_measured_of_raw_values_is_the_score_to_the_last_digit(name: str, baseline: Any, own: OwnSet) -> None:
     protocol = PROTOCOLS[name]
-    predictions = None if baseline else own.root.parent / "preds"
+    predictions = None if baseline else own.predictions
     result = evaluate(predictions, **own.where, protocol=name, baseline=baseline)
     pairs = list(scored_pairs(predictions, **own.where, protocol=name, baseline=baseline))
     assert [record for _, _, record in pairs] == list(result.units)
+    assert len(pairs) == 4
+    chooses = protocol.ratios or protocol.cameras or protocol.scenes or protocol.subset
+    assert bool(result.provenance["set_aside"]) == bool(chooses)  # the set's own pairs are scored
     for (prediction, reference, record), image in zip(pairs, result.scores, strict=True):
         assert isinstance(record, PairRecord)
         assert prediction.dtype == reference.dtype == np.float64
@@ -73,47 +67,35 @@ def codes(image: NDArray[Any]) -> NDArray[np.float32]:
     return found
 
 
-@pytest.mark.parametrize("name", ["eld-srgb", "sid2018"])
-def test_renderings_have_256_levels(name: str, own: OwnSet, tmp_path: Path) -> None:
-    folder, protocol = own.root.parent / "preds", PROTOCOLS[name]
-    if name == "sid2018":
+@pytest.mark.parametrize(
+    ("name", "shape"), [("eld-srgb", None), ("sid2018", (3, 60, 84)), ("eld-raw2rgb", (3, 30, 42))]
+)
+def test_renderings_have_256_levels(name: str, shape: tuple[int, ...] | None, own: OwnSet, tmp_path: Path) -> None:
+    """Those that a network made are as they are."""
+    folder, protocol = own.predictions, PROTOCOLS[name]
+    if shape is not None:
         folder = tmp_path
         for number, path in enumerate(sorted(own.files.glob("*/x*.dng"))):
-            made = np.random.default_rng(number).uniform(-0.1, 1.1, (3, 60, 84)).astype(np.float32)
+            made = np.random.default_rng(number).uniform(-0.1, 1.1, shape).astype(np.float32)
             save_prediction(folder, path.relative_to(own.files).as_posix(), made)
     result = evaluate(folder, **own.where, protocol=name)
-    for (prediction, reference, _), image in zip(
-        scored_pairs(folder, **own.where, protocol=name), result.scores, strict=True
-    ):
+    pairs = scored_pairs(folder, **own.where, protocol=name)
+    for (prediction, reference, _), image in zip(pairs, result.scores, strict=True):
+        assert reference.shape[0] == 3
+        if name == "eld-raw2rgb":
+            assert measured(prediction, reference, protocol) == (image.psnr_db, image.ssim)
+            continue
         first, second = codes(prediction), codes(reference)
         how: dict[str, Any] = {"window": protocol.ssim_window, "covariance": protocol.ssim_covariance}
         assert ssim(first, second, data_range=255.0, **how) == image.ssim
         assert psnr(first, second, data_range=255.0) == pytest.approx(image.psnr_db, abs=1e-12)
 
 
-def test_renderings_that_a_network_made_are_as_they_are(own: OwnSet, tmp_path: Path) -> None:
-    for number, path in enumerate(sorted(own.files.glob("*/x*.dng"))):
-        made = np.random.default_rng(number).uniform(0, 1, (3, 30, 42)).astype(np.float32)
-        save_prediction(tmp_path, path.relative_to(own.files).as_posix(), made)
-    result = evaluate(tmp_path, **own.where, protocol="eld-raw2rgb")
-    for (prediction, reference, _), image in zip(
-        scored_pairs(tmp_path, **own.where, protocol="eld-raw2rgb"), result.scores, strict=True
-    ):
-        assert reference.shape == (3, 30, 42)
-        assert measured(prediction, reference, PROTOCOLS["eld-raw2rgb"]) == (image.psnr_db, image.ssim)
-
-
-def test_frames_of_a_clip_come_together(tmp_path: Path) -> None:
+def test_frames_of_a_clip_come_together(drv: SmallDrv) -> None:
     """As what is said of two frames, such as optical flow, needs them."""
-    from eldata.datasets.published import DRVDataset
-
-    drv = small_drv(tmp_path / "drv", ("0007", "0013"), 12)
-    for window in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
-        frames = [1.1 * rgb_frame_of(window.scene, number).transpose(2, 0, 1) / 65535 for number in range(5, 10)]
-        save_clip_prediction(tmp_path / "preds", window, np.stack(frames).astype(np.float32))
     given: dict[str, Any] = {"manifest": drv.csv, "root": drv.root, "ids": ["0007", "0013"]}
-    result = evaluate(tmp_path / "preds", **given)
-    pairs = list(scored_pairs(tmp_path / "preds", **given))
+    result = evaluate(drv.root / "preds", **given)
+    pairs = list(scored_pairs(drv.root / "preds", **given))
     assert [record.scene for _, _, record in pairs] == ["0007", "0013"]
     for (prediction, reference, record), video in zip(pairs, result.scores, strict=True):
         still = (still_of(record.scene).transpose(2, 0, 1) / 65535).astype(np.float32)

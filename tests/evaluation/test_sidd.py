@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ import scipy.io
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata import evaluate
-from eldata.baselines.predicting import write_predictions
+from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.datasets import SIDDDataset
 from eldata.download import unpack_dataset
 from eldata.errors import ArchiveError, ArgumentError
@@ -23,14 +23,12 @@ from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.verify import verify
 from eldata.protocols import get_protocol
 from tests.cases import in_one_test
+from tests.evaluation.published_code import gaussian_ssim
 from tests.sidd_tree import SHAPE, blocks_of, build_sidd_tree, write_corrected
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
     from numpy.typing import NDArray
 
-    from eldata.baselines.noisy_frames import NoisyFrame
 
 # Row and column of R, and of B, in the first 2 x 2 sites of arrays as MATLAB shows them.
 RED_AND_BLUE = {
@@ -128,24 +126,6 @@ NAMES = ("ValidationNoisyBlocksRaw", "ValidationGtBlocksRaw", "BenchmarkNoisyBlo
 GALAXY = (0, 9, 12, 17, 22, 27, 32, 37)
 
 
-def ssim_by_yond(prediction: NDArray[Any], target: NDArray[Any]) -> float:
-    """YOND_SIDD.py calculate_ssim and ssim: of values up to 255, filter2D cut to where the window lies inside."""
-    taps = np.exp(-((np.arange(11) - 5.0) ** 2) / (2 * 1.5**2))
-    window = np.outer(taps, taps) / taps.sum() ** 2
-
-    def filtered(image: NDArray[Any]) -> NDArray[Any]:
-        windows = np.lib.stride_tricks.sliding_window_view(image, (11, 11))
-        return np.asarray(np.einsum("ijkl,kl->ij", windows, window))
-
-    one, two = (image.astype(np.float64) * 255 for image in (prediction, target))
-    mean_one, mean_two = filtered(one), filtered(two)
-    var_one, var_two = filtered(one**2) - mean_one**2, filtered(two**2) - mean_two**2
-    covariance = filtered(one * two) - mean_one * mean_two
-    c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
-    above = (2 * mean_one * mean_two + c1) * (2 * covariance + c2)
-    return float((above / ((mean_one**2 + mean_two**2 + c1) * (var_one + var_two + c2))).mean())
-
-
 @pytest.fixture(scope="module")
 def blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The three files unpacked, as `eldata download sidd-blocks --from` does."""
@@ -212,27 +192,16 @@ def test_scores_are_those_of_yonds_arithmetic(blocks: Path, tmp_path: Path) -> N
     for image, block in ((image, block) for image in GALAXY for block in range(32)):
         np.save(folder / f"{image:02}_{block:02}.npy", predicted[image, block])
         clipped, target = predicted[image, block].clip(0, 1), truth[image, block]
-        expected.append((psnr_of(target, clipped, data_range=1), ssim_by_yond(clipped, target)))
+        expected.append((psnr_of(target, clipped, data_range=1), gaussian_ssim(clipped, target)))
     result = evaluate(tmp_path, "sidd-blocks", root=blocks, cameras=["GalaxyS6Edge"])
     assert (result.protocol.name, len(result.scores)) == ("yond-sidd", 256)
     found = [(one.psnr_db, one.ssim) for one in result.scores]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
 
 
-@dataclass(frozen=True)
-class Same:
-    """Returns its input."""
-
-    def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:
-        return {"denoiser": f"same for {len(cameras)} of {channels}"}
-
-    def __call__(self, frame: NoisyFrame) -> NDArray[Any]:
-        return frame.image
-
-
 def test_the_benchmark_is_predicted_and_not_scored(blocks: Path, tmp_path: Path) -> None:
-    phones = ["iPhone7"]
-    report = write_predictions(Same(), "sidd-blocks", tmp_path / "out", root=blocks, subset="benchmark", cameras=phones)
+    wanted: dict[str, Any] = {"subset": "benchmark", "cameras": ["iPhone7"], "clip": "none"}
+    report = write_predictions(BaselineDenoiser("input"), "sidd-blocks", tmp_path / "out", root=blocks, **wanted)
     assert (report.written, report.problems) == (256, ())
     made = np.load(tmp_path / "out" / "SIDD_Benchmark_Raw" / NAMES[2] / "39_31.npy")
     np.testing.assert_array_equal(made[0], blocks_of(NAMES[2])[39, 31][0::2, 0::2])

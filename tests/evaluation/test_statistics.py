@@ -14,9 +14,9 @@ from eldata.errors import ArgumentError
 from eldata.evaluation.scores import UnitScore
 from eldata.evaluation.statistics import (
     FEWEST_SCENES,
-    clusters_of,
     interval_of_mean,
     interval_of_scores,
+    list_clusters,
     paired_difference,
     sign_flip_p_value,
 )
@@ -43,17 +43,12 @@ SETS = 4000  # the standard error of a share of 95 % is 0.34 %
 
 def of_cameras(values: NDArray[np.float64], *, named_apart: bool = False) -> list[UnitScore]:
     """Scores (cameras, scenes, images), of scenes that have the same names for each camera, or names of their own."""
-    return [
-        UnitScore(
-            f"{c}/{s}/{i}",
-            f"camera-{c}",
-            f"{c if named_apart else ''}scene-{s}",
-            800,
-            100,
-            {"psnr_db": float(values[c, s, i])},
-        )
-        for c, s, i in np.ndindex(values.shape)
-    ]
+
+    def score(c: int, s: int, i: int) -> UnitScore:
+        scene = f"{c if named_apart else ''}scene-{s}"
+        return UnitScore(f"{c}/{s}/{i}", f"camera-{c}", scene, 800, 100, {"psnr_db": float(values[c, s, i])})
+
+    return [score(*place) for place in np.ndindex(values.shape)]
 
 
 def differences(generator: np.random.Generator, shared: float) -> NDArray[np.float64]:
@@ -80,7 +75,7 @@ def test_intervals_over_cameras_hold_the_truth_and_equal_methods_are_seldom_call
     """
     generator = np.random.default_rng([14, round(10 * shared)])
     there = (np.arange(CAMERAS)[:, None] < each).repeat(IMAGES)
-    every = clusters_of(of_cameras(differences(generator, shared)), scenes_shared=True)
+    every = list_clusters(of_cameras(differences(generator, shared)), scenes_shared=True)
     scenes = [scene for scene, kept in zip(every, there, strict=True) if kept]
     within = different = apart = 0
     for _ in range(SETS):

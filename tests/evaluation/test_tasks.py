@@ -1,4 +1,4 @@
-"""A function of the user's own beside the scores of a protocol: in every output, and refused in one sentence."""
+"""A function of the user's own beside the scores of a protocol: in every output, refused in one sentence; LPIPS."""
 
 from __future__ import annotations
 
@@ -15,26 +15,21 @@ import numpy as np
 import pytest
 
 from eldata.cli.main import main
-from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError
-from eldata.evaluation import (
-    Task,
-    evaluate,
-    load_result,
-    save_clip_prediction,
-    save_prediction,
-)
+from eldata.evaluation import Task, evaluate, load_result, save_prediction
 from eldata.evaluation.comparison import compare
 from eldata.reports.comparison import write_comparison_page
 from eldata.reports.evaluation import write_evaluation_page
-from tests.drv_tree import SmallDrv, rgb_frame_of, small_drv, still_of
+from tests.drv_tree import SmallDrv, still_of
 from tests.evaluation import oracle, published_code
+from tests.evaluation.helpers import predicted_clip
 from tests.evaluation.own_set import OwnSet, build_own_set
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.evaluation import EvaluationResult
+    from tests.evaluation.helpers import Tree
 
 
 def worst_error(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
@@ -64,21 +59,6 @@ worst = Task(worst_error, higher_is_better=False, label="worst error")
 HERE = "tests.evaluation.test_tasks"
 
 
-@pytest.fixture(scope="module")
-def own(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
-    """With predictions of its four noisy frames in ``preds`` beside it, and of the same, noisier, in ``other``."""
-    folder = tmp_path_factory.mktemp("own")
-    own = build_own_set(folder, scenes=2)
-    generator = np.random.default_rng(4)
-    for name, sigma in (("preds", 0.02), ("other", 0.1)):
-        for scene in ("s0", "s1"):
-            target = oracle.reference(own.files / scene / "clean.dng")
-            for ratio in (50, 100):
-                made = (0.8 * target + generator.normal(0, sigma, target.shape)).astype(np.float32)
-                save_prediction(folder / name, f"{scene}/x{ratio}.dng", made)
-    return own
-
-
 def scored(own: OwnSet, name: str = "preds", **options: Any) -> EvaluationResult:
     return evaluate(own.root.parent / name, **{"protocol": "eld"} | own.where | options)
 
@@ -89,7 +69,7 @@ def test_it_stands_beside_the_scores_everywhere(own: OwnSet, tmp_path: Path) -> 
     assert not result.problems
     assert result.digest == plainly.digest
     for image, plain in zip(result.scores, plainly.scores, strict=True):
-        made = np.load((own.root.parent / "preds" / image.path).with_suffix(".npy")).astype(float)
+        made = np.load((own.predictions / image.path).with_suffix(".npy")).astype(float)
         target = oracle.reference(own.files / image.scene / "clean.dng")
         expected = np.abs(np.clip(np.clip(made, 0, 1) * image.rescale, 0, 1) - target).max()
         assert image.values["task"] == pytest.approx(expected, abs=1e-6)
@@ -110,9 +90,7 @@ def test_it_stands_beside_the_scores_everywhere(own: OwnSet, tmp_path: Path) -> 
     back = load_result(tmp_path / "result.json")
     assert (back.scores, back.table, back.as_dict()) == (result.scores, result.table, result.as_dict())
     assert f"worst error: {HERE}:worst_error (sha256:" in result.format("text")
-    write_evaluation_page(
-        result, tmp_path / "page.html", dataset_folder=own.files, predictions=own.root.parent / "preds"
-    )
+    write_evaluation_page(result, tmp_path / "page.html", dataset_folder=own.files, predictions=own.predictions)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert f"{result.scores[0].values['task']:.4f}" in page
     assert "lower is better" in page
@@ -123,7 +101,7 @@ def test_renderings_are_those_of_the_published_code(tmp_path: Path) -> None:
     own = build_own_set(tmp_path / "large", ratios=(100,), size=(1040, 1066))
     target = oracle.reference(own.files / "s0/clean.dng")
     made = (1.1 * target + np.random.default_rng(3).normal(0, 0.02, target.shape)).astype(np.float32)
-    save_prediction(own.root.parent / "preds", "s0/x100.dng", made)
+    save_prediction(own.predictions, "s0/x100.dng", made)
     first, second, factor = published_code.eld_shown(made, target, own.files / "s0/clean.dng")
     gap = first.mean(dtype=float) - second.mean(dtype=float)
     # A code may differ by one where a value lies on the edge of two: of a mean, 1e-7 for each of a few pixels.
@@ -136,7 +114,7 @@ def test_renderings_are_those_of_the_published_code(tmp_path: Path) -> None:
 
 def test_a_protocol_of_raw_values_is_rendered_for_a_task(own: OwnSet) -> None:
     image = scored(own, task=Task(gap_of_means, "srgb")).scores[0]
-    made = np.load((own.root.parent / "preds" / image.path).with_suffix(".npy"))
+    made = np.load((own.predictions / image.path).with_suffix(".npy"))
     file = own.files / image.scene / "clean.dng"
     target = oracle.reference(file)
     rescaled = np.clip(np.clip(made, 0, 1) * image.rescale, 0, 1)
@@ -202,7 +180,7 @@ def test_the_command(
     (tmp_path / "mine_of_test_tasks.py").write_text("def zero(p, g):\n    return 0\n1 / (__name__ == 'x')\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", [path for path in sys.path if path])
-    given = ["evaluate", str(own.root.parent / "preds"), *own.arguments, "--protocol", "eld"]
+    given = ["evaluate", str(own.predictions), *own.arguments, "--protocol", "eld"]
     given += ["--csv", str(tmp_path / "scores.csv")]
     assert main([*given, "--task", "mine_of_test_tasks:zero"]) == 2
     assert ": cannot be imported: ZeroDivisionError: division by zero\n" in capsys.readouterr().err
@@ -217,31 +195,51 @@ def test_the_command(
 # --- of clips ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
-    """Two clips of DRV with predictions of their five scored frames in ``preds`` beside them."""
-    drv = small_drv(tmp_path_factory.mktemp("drv"), ("0007", "0013"), 12)
-    for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
-        frames = np.stack([predicted(record.scene, number) for number in range(5, 10)])
-        save_clip_prediction(drv.root / "preds", record, frames)
-    return drv
-
-
-def predicted(clip: str, number: int) -> NDArray[np.float32]:
-    return np.asarray(1.1 * rgb_frame_of(clip, number).transpose(2, 0, 1) / 65535, np.float32)
-
-
 def test_a_clip_has_the_mean_over_its_frames_as_the_published_code_corrects_them(drv: SmallDrv) -> None:
     given: dict[str, Any] = {"manifest": drv.csv, "root": drv.root, "ids": ["0007", "0013"]}
     result = evaluate(drv.root / "preds", task=gap_of_means, **given)
     assert [video.scene for video in result.scores] == ["0007", "0013"]
     for video in result.scores:
         still = (still_of(video.scene).transpose(2, 0, 1) / 65535).astype(np.float32)
-        made = np.stack([predicted(video.scene, number) for number in range(5, 10)])
-        _, shown = published_code.eld_clip(made, still, correct=True)
+        _, shown = published_code.eld_clip(predicted_clip(video.scene), still, correct=True)
         assert video.values["task"] == pytest.approx(
             shown.mean(dtype=float) - still.mean(dtype=float), abs=1e-6
         )  # float32
-    assert evaluate(drv.root / "preds", task=gap_of_means, workers=2, **given).scores == result.scores
     both = compare({"one": result, "other": result})
     assert [metric.name for metric in both.kind.metrics] == ["psnr_db", "ssim", "st_rred", "task"]
+
+
+# --- the example of a task (eldata.examples) --------------------------------------------------------------------------
+
+
+def test_the_example_hands_renderings_to_torchmetrics_lpips(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its network, whose weights would be downloaded, is replaced by the mean absolute difference."""
+    lpip = pytest.importorskip("torchmetrics.image.lpip")
+    made: list[tuple[object, ...]] = []
+    seen: list[NDArray[np.float32]] = []
+
+    def network(net_type: str, *, normalize: bool) -> Any:
+        made.append((net_type, normalize))
+
+        def distance(first: Any, second: Any) -> Any:
+            seen.extend(image.numpy() for image in (first, second))
+            return (first - second).abs().mean()
+
+        return distance
+
+    monkeypatch.setattr(lpip, "LearnedPerceptualImagePatchSimilarity", network)
+    task = "eldata.examples.perceptual_distance:lpips"
+    found = evaluate(None, **tree.where, baseline="input", cameras=["DemoAlpha"], task=task)
+    assert not found.problems
+    assert made == [("alex", True)]  # once, and of images in [0, 1]
+    assert len(seen) == 2 * len(found.scores)
+    for image, first, second in zip(found.scores, seen[::2], seen[1::2], strict=True):
+        for pixels in (first, second):
+            assert pixels.shape == (1, 3, 32, 48)
+            codes = 255 * pixels.astype(np.float64)
+            np.testing.assert_allclose(codes, np.round(codes), atol=1e-4)
+            assert (pixels.min() >= 0, pixels.max() <= 1) == (True, True)
+        assert image.values["task"] == pytest.approx(np.abs(first - second).mean(), rel=1e-5)
+    (metric,) = (metric for metric in found.kind.metrics if metric.name == "task")
+    assert (metric.label, metric.better) == ("LPIPS", "lower")
+    assert found.provenance["task"]["version"].startswith("torchmetrics ")

@@ -1,4 +1,4 @@
-"""The evaluation of clips against the published code's way (``published_code``), and ST-RRED of those clips."""
+"""Clips against the published code's way (``published_code``), with ST-RRED: DRV's, and sequences of one's own."""
 
 from __future__ import annotations
 
@@ -6,69 +6,48 @@ import json
 import math
 import shutil
 from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import rawpy
 
-from eldata.datasets.published import DRVDataset
+from eldata.cli.main import main
+from eldata.datasets import DRVDataset
+from eldata.demo.camera import CAMERAS
+from eldata.demo.scenes import scene_radiance
+from eldata.demo.tree import demo_card, write_shot
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation import EvaluationResult, evaluate, save_clip_prediction
+from eldata.manifest.catalogue import save_manifest
 from eldata.manifest.layouts import scan_raw
 from eldata.metrics import PEAK_ELD, st_rred
 from eldata.raw.levels import unpack
-from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
+from eldata.raw.reading import read_header
+from eldata.records import FrameRecord
+from tests.drv_tree import SENSOR, SmallDrv, generator_of, still_of, write_png, write_raw_clip
 from tests.evaluation import published_code
+from tests.evaluation.helpers import CLIPS, SCORED_FRAMES, predicted_clip, predicted_frame
 from tests.raw.helpers import BAYER
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
-CLIPS = ("0007", "0013")
+
 IDS = list(CLIPS)
-SCORED = range(5, 10)  # frames numbered from 1
-SIZE = (48, 56)
+
+
+def score(drv: SmallDrv, predictions: Path | None = None, **options: Any) -> EvaluationResult:
+    return evaluate(predictions or drv.root / "preds", manifest=drv.csv, root=drv.root, **{"ids": IDS} | options)
 
 
 @pytest.fixture(scope="module")
-def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
-    return small_drv(tmp_path_factory.mktemp("drv"), (*CLIPS, "M0003"), 12, size=SIZE)
-
-
-def predicted(clip: str, number: int) -> NDArray[np.float32]:
-    """A prediction as a network would make it: too bright, somewhat noisy, in places beyond [0, 1]."""
-    still = still_of(clip, SIZE).transpose(2, 0, 1) / 65535
-    noisy = rgb_frame_of(clip, number, SIZE).transpose(2, 0, 1) / 65535
-    frame = 1.1 * (0.8 * still + 0.2 * noisy) + generator_of(f"{clip}-{number}").normal(0, 0.005, still.shape)
-    frame[:, 3:5, 7:9] = 1.2
-    frame[:, 9:11, 2:5] = -0.1
-    return frame.astype(np.float32)
-
-
-@pytest.fixture(scope="module")
-def predictions(drv: SmallDrv, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("preds")
-    dataset = DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv)
-    for record in dataset.records:
-        frames = np.stack([predicted(record.scene, number) for number in SCORED])
-        written = save_clip_prediction(folder, record, frames)
-        assert [path.relative_to(folder).as_posix() for path in written] == [
-            f"{record.scene}/{number:04d}.npy" for number in SCORED
-        ]
-    return folder
-
-
-def score(drv: SmallDrv, predictions: Path, **options: Any) -> EvaluationResult:
-    return evaluate(predictions, manifest=drv.csv, root=drv.root, **{"ids": IDS} | options)
-
-
-@pytest.fixture(scope="module")
-def result(drv: SmallDrv, predictions: Path) -> EvaluationResult:
-    return score(drv, predictions)
+def result(drv: SmallDrv) -> EvaluationResult:
+    return score(drv)
 
 
 # --- the numbers ------------------------------------------------------------------------------------------------------
@@ -85,8 +64,8 @@ def check_against_the_published_code(
     for video in result.scores:
         still = still_in(video.scene)
         scores, shown = published_code.eld_clip(frames_of(video.scene), still, correct=correct)
-        clip, repeated = published_code.eld_grey(shown), published_code.eld_grey(np.stack([still] * len(shown)))
-        rred = st_rred(clip, repeated, data_range=1.0, peak=PEAK_ELD)
+        films = (published_code.eld_grey(film) for film in (shown, np.broadcast_to(still, shown.shape)))
+        rred = st_rred(*films, data_range=1.0, peak=PEAK_ELD)
         found = np.array([(frame.psnr_db, frame.ssim, frame.rescale) for frame in video.frames])
         expected = np.array([(one.psnr_db, one.ssim, one.factor if correct else 1.0) for one in scores])
         largest = np.abs(found - expected).max(axis=0)
@@ -100,16 +79,16 @@ def check_against_the_published_code(
         assert (video.psnr_db, video.ssim) == pytest.approx(tuple(expected[:, :2].mean(axis=0)))
         assert video.values["st_rred"] > 0
         means.append((video.psnr_db, video.ssim, video.values["st_rred"]))
-    assert [video.scene for video in result.scores] == IDS
+    assert len(result.scores) == len(result.units) > 1
     assert (result.psnr_db, result.ssim, result.whole.values["st_rred"]) == pytest.approx(np.mean(means, axis=0))
 
 
 @pytest.mark.parametrize("protocol", ["drv-rgb", "drv-rgb-uncorrected"])
-def test_rgb_scores_are_those_of_the_published_code(protocol: str, drv: SmallDrv, predictions: Path) -> None:
+def test_rgb_scores_are_those_of_the_published_code(protocol: str, drv: SmallDrv) -> None:
     check_against_the_published_code(
-        score(drv, predictions, protocol=protocol),
-        lambda clip: np.stack([predicted(clip, number) for number in SCORED]),
-        lambda clip: still_of(clip, SIZE).transpose(2, 0, 1).astype(np.float32) / np.float32(65535),
+        score(drv, protocol=protocol),
+        predicted_clip,
+        lambda clip: still_of(clip).transpose(2, 0, 1).astype(np.float32) / np.float32(65535),
     )
 
 
@@ -140,8 +119,8 @@ def test_raw_scores_are_those_of_the_published_code(phases: tuple[str, str], tmp
 
 def test_a_perfect_prediction(drv: SmallDrv, tmp_path: Path) -> None:
     for clip in CLIPS:
-        for number in SCORED:
-            write_png(tmp_path / clip / f"{number:04d}.png", still_of(clip, SIZE))
+        for number in SCORED_FRAMES:
+            write_png(tmp_path / clip / f"{number:04d}.png", still_of(clip))
     found = score(drv, tmp_path, protocol="drv-rgb-uncorrected")
     assert (found.psnr_db, found.ssim, found.whole.values["st_rred"]) == (math.inf, 1.0, 0.0)
     assert any("equals the reference exactly: 2 videos" in note for note in found.notes)
@@ -152,8 +131,8 @@ def test_a_perfect_prediction(drv: SmallDrv, tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def own(predictions: Path, tmp_path: Path) -> Path:
-    shutil.copytree(predictions, tmp_path / "preds")
+def own(drv: SmallDrv, tmp_path: Path) -> Path:
+    shutil.copytree(drv.root / "preds", tmp_path / "preds")
     return tmp_path / "preds"
 
 
@@ -168,61 +147,176 @@ def test_a_video_needs_all_of_its_frames(drv: SmallDrv, own: Path, result: Evalu
     rest = score(drv, own, allow_missing=True)
     assert rest.scores == result.scores[1:]
     assert rest.missing == ("0007",)
-    assert "1 of 2" in rest.format_table()
+    assert "1 of 2" in rest.format_text()
     assert "INCOMPLETE: 1 videos" in rest.format_text()
 
 
-def test_a_damaged_dataset_stops_the_evaluation(drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+def test_a_damaged_dataset_stops_the_evaluation(drv: SmallDrv, tmp_path: Path) -> None:
     shutil.copytree(drv.csv.parent.parent, tmp_path / "tree")
     copy = SmallDrv(tmp_path / "tree/manifests/drv.csv", tmp_path / "tree/data")
     frame = copy.data / "VBM4D_rawRGB/0007/0006.png"
     content = frame.read_bytes()
     frame.write_bytes(content[:100])
     with pytest.raises(DatasetError, match=r"not what its manifest says: .*0006\.png"):
-        score(copy, predictions)
+        score(copy, drv.root / "preds")
     frame.write_bytes(content)
     (copy.data / "VBM4D_rawRGB/0007/0002.png").unlink()  # not scored, but it would shift those that are
     with pytest.raises(DatasetError, match="without a gap"):
-        score(copy, predictions)
+        score(copy, drv.root / "preds")
     shutil.rmtree(copy.root)
     with pytest.raises(DatasetError, match=r"the dataset is not there.*github\.com"):
-        score(copy, predictions)
+        score(copy, drv.root / "preds")
 
 
 # --- names ------------------------------------------------------------------------------------------------------------
 
 
-def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
+def test_unknown_names_list_the_known(drv: SmallDrv) -> None:
     with pytest.raises(ArgumentError, match=r"'drv-rgb' scores videos, and 'eld' is a dataset of images; its protoc"):
-        evaluate(predictions, "eld", protocol="drv-rgb")
+        evaluate(drv.root / "preds", "eld", protocol="drv-rgb")
     with pytest.raises(ArgumentError, match=r"'eld' scores images, .*; its protocols are drv-rgb, drv-rgb-uncorrected"):
-        score(drv, predictions, protocol="eld")
+        score(drv, protocol="eld")
     with pytest.raises(ArgumentError, match="'drv-raw' is for dataset 'drv-raw', not 'drv'"):
-        score(drv, predictions, protocol="drv-raw")
+        score(drv, protocol="drv-raw")
     with pytest.raises(ArgumentError, match=r"give camera values as a list: \['SonyRX100M6'\]"):
-        score(drv, predictions, cameras="SonyRX100M6")
+        score(drv, cameras="SonyRX100M6")
     with pytest.raises(TypeError, match=r"unexpected keyword argument 'camera'"):
-        score(drv, predictions, camera=["SonyRX100M6"])
+        score(drv, camera=["SonyRX100M6"])
     with pytest.raises(ArgumentError, match="its card names no subset"):
-        score(drv, predictions, ids=None)
+        score(drv, ids=None)
 
 
 # --- mistakes ---------------------------------------------------------------------------------------------------------
 
 
-MISTAKES: dict[str, tuple[Callable[[NDArray[np.float32]], NDArray[np.float32]], str]] = {
-    "the other order of colours": (lambda frame: frame[::-1], "as if in the order B, G, R"),
-}
-
-
-@pytest.mark.parametrize("mistake", MISTAKES)
-def test_mistakes_in_clips_are_named(mistake: str, drv: SmallDrv, result: EvaluationResult, tmp_path: Path) -> None:
-    """Frames of a clip are looked at as images are."""
+def test_mistakes_in_clips_are_named(drv: SmallDrv, result: EvaluationResult, tmp_path: Path) -> None:
+    """Frames of a clip are looked at as images are; here the colours are in the other order."""
     assert result.suspicions == ()
-    change, words = MISTAKES[mistake]
     for clip in CLIPS:
         (tmp_path / clip).mkdir()
-        for number in SCORED:
-            np.save(tmp_path / clip / f"{number:04d}.npy", change(predicted(clip, number)))
+        for number in SCORED_FRAMES:
+            np.save(tmp_path / clip / f"{number:04d}.npy", predicted_frame(clip, number)[::-1])
     (found,) = score(drv, tmp_path).suspicions
-    assert (found.words, found.shown, found.looked) == (words, found.looked, found.looked)
+    assert (found.words, found.shown, found.looked) == ("as if in the order B, G, R", 2, 2)
+
+
+# --- sequences of one's own, a reference for each frame: as data, and scored as film ----------------------------------
+
+
+MOMENTS = 4
+MANIFEST = "manifests/mine.csv"
+SIZE = (256, 384)
+# ISO and factor of the frames of a moment: two noisy frames of each setting between two references.
+FRAMES = ((100, None), (800, 1), (800, 1), (800, 100), (800, 100), (100, None))
+
+
+def seen(scene: int, moment: int) -> NDArray[np.float32]:
+    """Return what stands before the camera: a striped thing that moves by 17 pixels from moment to moment."""
+    picture = scene_radiance(scene, *SIZE).copy()
+    rows, columns = np.mgrid[:64, :48]
+    left = 20 + 17 * moment
+    picture[:, 100:164, left : left + 48] = 0.25 + 0.2 * np.sin(rows / 3) * np.cos(columns / 4)
+    return picture
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two sequences of four moments."""
+    folder = tmp_path_factory.mktemp("film")
+    camera = CAMERAS[0].with_size(*SIZE)
+    records = []
+    for scene in (1, 2):
+        for moment in range(1, MOMENTS + 1):
+            name = f"scene-{scene}-moment-{moment}"
+            picture = seen(scene, moment)
+            for number, (iso, factor) in enumerate(FRAMES, 1):
+                path = f"{camera.name}/{name}/IMG_{number:04d}.dng"
+                exposure_s = Fraction(4) if factor is None else Fraction(4 * 100, iso * factor)
+                more: dict[str, Any] = {"role": "reference"}
+                if factor is not None:
+                    reference = f"{camera.name}/{name}/IMG_{1 if number < 4 else 6:04d}.dng"
+                    more = {"role": "noisy", "ratio": Fraction(factor), "reference": reference}
+                about: dict[str, Any] = {"camera": camera.name, "scene": name, "split": "test", "iso": Fraction(iso)}
+                records.append(FrameRecord(path, exposure_s=exposure_s, **about, **more))
+                generator = np.random.default_rng([5, scene, moment, number])
+                mosaic = camera.photograph(picture, exposure_s / 4, iso, generator)
+                write_shot(folder / "data" / "Mine" / path, mosaic, camera.sensor, Fraction(iso), exposure_s)
+    card = demo_card("mine", "Film", "Mine", {camera.name: camera.sensor}, records, "simulated")
+    (folder / "manifests").mkdir()
+    save_manifest(folder / MANIFEST, replace(card, protocol="sequences"), records)
+    return folder
+
+
+def test_sequences_are_scored_as_film(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each frame with its own reference by the ELD code's metrics, and ST-RRED of the two films."""
+    monkeypatch.chdir(made)
+    assert main(["verify", MANIFEST, "--root", "data", "--level", "full", "--jobs", "1"]) == 0
+    folder = made / "data" / "Mine"
+    dataset = DRVDataset(folder, form="raw", manifest=MANIFEST, window=MOMENTS)
+    assert len(dataset) == 2 * 2 * 2  # sequences, factors, repeats
+    result = evaluate(None, manifest=MANIFEST, root="data", baseline="input")
+    assert result.protocol.name == "sequences", "which the card names"
+    rows = [(row.camera, row.ratio, row.pairs) for row in result.table]
+    assert rows == [("DemoAlpha", 1.0, 4), ("DemoAlpha", 100.0, 4), (None, None, 8)]
+    records = {record.scene: record for record in dataset.records}
+
+    def decoded(path: str) -> NDArray[np.float32]:
+        with rawpy.imread(str(folder / path)) as raw:
+            return published_code.eld_frame(raw, white=None)
+
+    def amplified(scene: str) -> NDArray[np.float32]:
+        frames = zip(records[scene].frames, records[scene].references, strict=True)
+        ratios = [(frame, exposure(folder / reference) / exposure(folder / frame)) for frame, reference in frames]
+        return np.stack([np.clip(decoded(frame) * np.float32(ratio), 0, 1) for frame, ratio in ratios])
+
+    check_against_the_published_code(
+        result, amplified, lambda scene: np.stack([decoded(path) for path in records[scene].references])
+    )
+    by_factor = {f: np.mean([v.values["st_rred"] for v in result.scores if f"-x{f}" in v.scene]) for f in (1, 100)}
+    assert by_factor[1] < by_factor[100]
+
+
+def exposure(path: Path) -> Fraction:
+    found = read_header(path).exposure
+    assert found.iso is not None
+    assert found.exposure_s is not None
+    return found.iso * found.exposure_s
+
+
+def test_predictions_of_photographs_are_those_of_the_film(made: Path, tmp_path: Path) -> None:
+    """One folder, scored as pairs and as film; each frame's own reference is the perfect prediction."""
+    dataset = DRVDataset(
+        made / "data" / "Mine", form="raw", manifest=made / MANIFEST, window=MOMENTS, cameras=["DemoAlpha"]
+    )
+    for record, sample in zip(dataset.records, dataset, strict=True):
+        assert sample["input"].shape == sample["target"].shape == (MOMENTS, 4, 128, 192)
+        assert len({target.numpy().tobytes() for target in sample["target"]}) == MOMENTS
+        for place, path in enumerate(save_clip_prediction(tmp_path, record, sample["target"].numpy())):
+            assert path == tmp_path / Path(record.frames[place]).with_suffix(".npy")
+            with rawpy.imread(str(made / "data" / "Mine" / record.references[place])) as raw:
+                expected = published_code.eld_frame(raw, white=None)
+            np.testing.assert_allclose(sample["target"][place].numpy(), expected, atol=1e-6)
+    options: dict[str, Any] = {"manifest": made / MANIFEST, "root": made / "data"}
+    film_scores = evaluate(tmp_path, **options)
+    assert (film_scores.whole.values["st_rred"], film_scores.ssim) == (0.0, 1.0)
+    assert np.isinf(film_scores.psnr_db)
+    assert len(film_scores.scores) == 8
+    of_pairs = evaluate(tmp_path, protocol="raw", **options)
+    assert len(of_pairs.scores) == 2 * 2 * 2 * MOMENTS
+    clip = "DemoAlpha/scene-2/ISO800-x100"
+    some = evaluate(tmp_path, protocol="sequences", ids=[clip], **options)
+    assert [video.scene for video in some.scores] == [clip, f"{clip}-2"]
+    assert [video.scene for video in evaluate(tmp_path, protocol="sequences", ids=["scene-2"], **options).scores] == [
+        f"DemoAlpha/scene-2/ISO800-x{factor}{repeat}" for factor in (1, 100) for repeat in ("", "-2")
+    ]
+
+
+def test_part_of_the_clips(made: Path) -> None:
+    folder = made / "data" / "Mine"
+    some = DRVDataset(folder, form="raw", manifest=made / MANIFEST, window=2, stride=1, ratios=[100], ids=["scene-1"])
+    assert {clip.scene for clip in some.clips} == {f"DemoAlpha/scene-1/ISO800-x100{repeat}" for repeat in ("", "-2")}
+    assert len(some) == 2 * (MOMENTS - 1)
+    assert [record.start for record in some.records[:3]] == [0, 1, 2]
+    assert some.records[1].reference == some.records[1].references[0]
+    with pytest.raises(ArgumentError, match="no clip has scene scene-3; known are DemoAlpha/scene-1/ISO800-x1"):
+        DRVDataset(folder, form="raw", manifest=made / MANIFEST, ids=["scene-3"])

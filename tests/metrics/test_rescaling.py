@@ -50,6 +50,8 @@ def test_saturated_entries_are_left_out() -> None:
     assert rescale_factor(p, g) == 0.5
     p[0, 0] = np.nan  # left out as well
     assert rescale_factor(p, g) == 0.5
+    g[2, 0] = 1.5  # above, as where references are not clipped: counts
+    assert rescale_factor(p, g) == pytest.approx(elds_factor(p, g), rel=1e-13) != 0.5
 
 
 @pytest.mark.parametrize("dark", [0.0, -0.5])

@@ -117,19 +117,8 @@ def test_the_axes_of_others_are_drawn_into() -> None:
     assert len(points_of(right)) == 2 * len(scored.scores)
 
 
-def test_the_gains_of_each_method_are_drawn_by_group() -> None:
-    methods = {"a": result(), "b": result(method=1, gain_db=0.5), "c": result(method=2)}
-    compared = compare(methods)
-    (axes,) = compared.plot().axes
-    assert axes.get_title() == "2 methods against a"
-    assert [label.get_text() for label in axes.get_yticklabels()] == [
-        group.name.replace(" x", " ×") for group in compared.groups
-    ]
-    expected = [group.gains[index]["psnr_db"].interval for index in (0, 1) for group in compared.groups]
-    assert [x for x, _ in points_of(axes)] == [interval.mean for interval in expected]
-    assert [xs for xs, _ in bars_of(axes)] == [[interval.low, interval.high] for interval in expected]
-    rows = [round(y) for _, y in points_of(axes)]
-    assert rows == 2 * list(range(len(compared.groups)))  # each in its group's row
+def test_a_comparison_in_one_line_and_in_a_notebook() -> None:
+    compared = compare({"a": result(), "b": result(method=1, gain_db=0.5), "c": result(method=2)})
     assert_one_line(compared, "Comparison(96 common images; PSNR a ")
     assert_shows_in_a_notebook(compared, "3 methods on 96 common images", "a dB", "c SSIM")
 
@@ -151,7 +140,7 @@ def test_hostile_names_stay_text() -> None:
     for shown in (scored, compare({HOSTILE: scored, "b\n$x$": scored})):
         assert_one_line(shown, "")
         assert_shows_in_a_notebook(shown, HOSTILE)
-        assert shown.plot().axes  # and neither mathematics nor a letter that the font lacks
+    assert scored.plot().axes  # and neither mathematics nor a letter that the font lacks
     profile = replace(CameraProfile.load("SonyA7S2"), camera=HOSTILE + "$\\frac{$", source="\x1b" + HOSTILE)
     assert_one_line(profile, "CameraProfile(")
     assert_shows_in_a_notebook(profile, HOSTILE)
@@ -261,6 +250,15 @@ def test_the_photon_transfer_of_an_iso(found: Calibration) -> None:
         ArgumentError, match="no photon transfer was measured at ISO 800; ISOs with one: 400, 1600, 3200"
     ):
         found.plot(iso=800)
+
+
+def test_pooled_points_are_means_by_inverse_variances() -> None:
+    """Of neighbours by signal, in whatever order the points come."""
+    points = np.array([[30.0, 10.0, 20.0, 40.0], [7.0, 3.0, 5.0, 9.0], [0.5, 0.1, 0.2, 1.0]])
+    signal, variance, error = PhotonTransferLine(0.2, 0.01, 1.0, 0.1, 1.0, *points).pooled(2)
+    assert signal == pytest.approx([(100 * 10 + 25 * 20) / 125, (4 * 30 + 40) / 5], rel=1e-12)
+    assert variance == pytest.approx([(100 * 3 + 25 * 5) / 125, (4 * 7 + 9) / 5], rel=1e-12)
+    assert error == pytest.approx([125**-0.5, 5**-0.5], rel=1e-12)
 
 
 # --- figures ------------------------------------------------------------------------------------------------------

@@ -65,7 +65,6 @@ def test_all_of_one_dataset(eldata: Cli, small: Path) -> None:
         "next\n    eldata download small --root data\n",
     ):
         assert words in outcome.out
-    assert max(len(line) for line in outcome.out.splitlines()) <= 120
 
 
 def test_the_next_command_is_to_verify_what_is_there(eldata: Cli, small: Path) -> None:

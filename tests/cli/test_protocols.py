@@ -22,7 +22,7 @@ def test_list_and_show(eldata: Cli) -> None:
     assert eldata("protocols", "led-eld").out == eldata("protocols", digest[:15]).out == shown
     family = eldata("protocols", "led").out
     assert shown in family
-    assert family.count("digest ") == 2
+    assert family.count("sha256:") == 2
 
 
 def test_json_and_dataset(eldata: Cli, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import math
 import shutil
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -25,9 +25,11 @@ from capture.check.result import (
     MeasureKind,
 )
 from capture.cli import main
+from eldata.errors import EldataError
 from eldata.records import Exposure
 from tests.capture.planted_faults import lit, moved
 from tests.capture.simulated_scenes import ALPHA, Shot, radiance, write_scenes
+from tests.cases import in_one_test
 from tests.reports.pages import checked as checked_page
 
 if TYPE_CHECKING:
@@ -225,23 +227,18 @@ def test_ratios_that_are_off_alike_are_one_line_and_a_count() -> None:
     assert sum(len(group["reasons"]) for group in report.as_dict()["groups"]) == 80
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
+@in_one_test(
+    "chosen, message",
     [
-        (("--scene", "7"), "no frame has scene scene-7; known are scene-1, scene-2"),
-        (("--camera", "Other"), "no frame has camera Other; known are DemoAlpha"),
-        (("--sheet", "sheet.gif"), "expected a name that ends in .html"),
-        (("--root", "nowhere"), "no folder nowhere/MY: --root names the folder that holds MY"),
+        ({"scenes": ["7"]}, "no frame has scene scene-7; known are scene-1, scene-2"),
+        ({"cameras": ["Other"]}, "no frame has camera Other; known are DemoAlpha"),
+        ({"root": "nowhere"}, "no folder nowhere/MY: --root names the folder that holds MY"),
     ],
 )
-def test_wrong_usage_is_one_line(
-    two_scenes: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
-) -> None:
-    assert run(two_scenes, *arguments) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert message in err
-    assert err.count("\n") == 1
+def test_what_is_not_there_is_refused(two_scenes: Path, chosen: dict[str, Any], message: str) -> None:
+    with pytest.raises(EldataError) as caught:
+        check(two_scenes / "manifests" / "my.csv", **{"root": two_scenes / "data"} | chosen)
+    assert message in str(caught.value)
 
 
 def test_the_result_does_not_depend_on_the_number_of_jobs(two_scenes: Path) -> None:

@@ -120,16 +120,3 @@ def test_text_goes_to_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture
     assert capsys.readouterr().out == markdown_checklist(PLAN)
     content = json.loads((tmp_path / "it.json").read_text())
     assert content == {"file": None, "format": "md", "plan": plan_digest(PLAN), "frames": len(PLAN.shots)}
-
-
-def test_wrong_usage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.chdir(tmp_path)
-    PLAN.save("plan.json")
-    for options, words in (
-        ("--format html", "a page needs a file"),
-        ("-o list.pdf", "expected a name that ends in .html, .md or .txt"),
-        ("-o plan.json --format txt", "-o: plan.json is a file that this command reads"),
-    ):
-        assert main(["checklist", "plan.json", *options.split()]) == 2
-        assert words in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]

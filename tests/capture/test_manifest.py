@@ -160,6 +160,10 @@ def test_everything_that_goes_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert not field.csv.exists()
     assert not field.data.exists()
 
+    plan_of("15", factors=(200,)).save(field.folder / "plan.json")
+    assert field.copy() == 1
+    assert "no file is a shot of this plan; nothing was written. Is it the right plan" in capsys.readouterr().out
+    plan.save(field.folder / "plan.json")
     assert field.copy("--yes") == 1  # which has been said
     assert "accept it as it is with --allow-gaps\n" in capsys.readouterr().out
     field.mapping.unlink()
@@ -220,39 +224,6 @@ def test_wrong_mappings(
     assert words in errors
     assert errors.count("\n") == 1
     assert not small.data.exists()
-
-
-def test_a_gap_in_the_references(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = plan_of("4", "1")
-    taken = whole_plan(plan)
-    del taken[5]
-    field = Field(tmp_path, plan, taken)
-    assert field.copy("--allow-gaps", "--yes") == 0
-    assert "scene-1 frame 5: compared with frame 1, as 6 is missing" in capsys.readouterr().out
-    assert field.problems() == []
-    references = {record.path: record.reference for record in load_manifest(field.csv).records}
-    assert references["AcmeNocturne/scene-1/IMG_0007.dng"] == "AcmeNocturne/scene-1/IMG_0011.dng"
-
-
-@in_one_test(
-    "line, words",
-    [
-        ("manifest plan.json card -o mine.json", "expected a name that ends in .csv"),
-        ("manifest plan.json card -o plan.csv", "-o: plan.json is a file that this command reads"),
-        ("manifest plan.json nowhere -o mine.csv", "nowhere: no such file or folder"),
-        ("manifest plan.json plan.json -o mine.csv", "no raw file (.dng) was given"),
-        ("manifest plan.json card -o mine.csv --only scene-7", "no scene called 'scene-7'"),
-    ],
-)
-def test_wrong_usage(
-    small: Field, line: str, words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(small.folder)
-    assert main(line.split()) == 2
-    output, errors = capsys.readouterr()
-    assert output == ""
-    assert words in errors
-    assert errors.count("\n") == 1
 
 
 def test_what_is_there_stays(small: Field, capsys: pytest.CaptureFixture[str]) -> None:

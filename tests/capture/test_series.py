@@ -120,21 +120,6 @@ def test_apertures_are_compared(nights: Nights, capsys: pytest.CaptureFixture[st
     assert "3 noisy frames of each, 2 references before and after" in nights.csv.with_suffix(".json").read_text()
 
 
-def test_apertures_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    CAMERA.save(tmp_path / "cam.json")
-    file = tmp_path / "plan.json"
-    new = ["plan", "--camera", str(tmp_path / "cam.json"), "--scenes", "2", "--metered", "4", "-o", str(file)]
-    assert main([*new, "--aperture", "scene-2=5.6", "--aperture", "f/8"]) == 0
-    output = capsys.readouterr().out
-    assert "scene-1: metered at 4 s, f/8" in output
-    assert "scene-2: metered at 4 s, f/5.6" in output
-    assert main(["plan", str(file), "--aperture", "scene-1=11", "--remeter", "scene-2=2"]) == 0
-    assert [scene.aperture for scene in Plan.load(file).scenes] == [11, Fraction("5.6")]
-    for wrong in ("x", "0", "=8", "scene-1=", "1000"):
-        assert main(["plan", str(file), "--aperture", wrong]) == 2
-        assert "expected an f-number" in capsys.readouterr().err
-
-
 # --- a warm sensor ----------------------------------------------------------------------------------------------------
 
 

@@ -1,12 +1,18 @@
+"""`capture camera` and `capture plan`, and wrong usage of every command."""
+
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
 
+from capture.camera import EXAMPLE
 from capture.cli import main
 from capture.plan import Plan
+from tests.capture.simulated import plan_of
 from tests.cases import in_one_test
 from tests.shared import there
 
@@ -39,6 +45,17 @@ def new(*options: str) -> int:
     return main(["plan", "--camera", "cam.json", *options])
 
 
+def test_a_camera(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    replace(EXAMPLE, true_isos=((100, Fraction(81)),)).save("own.json")
+    assert main(["camera", "own.json", "--json", "shown.json"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "SonyA7S2 (ILCE-7SM2): .ARW, bayer"
+    assert lines[2] == "measured: ISO 100 is 81"
+    assert lines[-1].split() == ["30", "s", "32", "s"]
+    times = json.loads(Path("shown.json").read_text())["times"]
+    assert times[0] == {"dial": "1/8000", "nominal_s": "1/8000", "true_s": 2**-13}
+
+
 def test_a_plan_and_its_changes(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     settings = ["--isos", "800", "1600", "--factors", "10", "200"]
     assert new("--scenes", "2", "--metered", "4", *settings, "-o", "plan.json") == 0
@@ -52,10 +69,16 @@ def test_a_plan_and_its_changes(at_work: Path, capsys: pytest.CaptureFixture[str
     assert main(["plan", "plan.json"]) == 0  # to look at
     assert "plan: plan.json" not in capsys.readouterr().out
     assert Path("plan.json").read_bytes() == before
-    assert main(["plan", "plan.json", "--add-scene", "scene-3=2", "-o", "other.json", "--json", "shown.json"]) == 0
+    apertures = ["--aperture", "scene-2=5.6", "--aperture", "f/8"]
+    command = ["plan", "plan.json", "--add-scene", "scene-3=2", *apertures, "-o", "other.json", "--json", "shown.json"]
+    assert main(command) == 0
+    assert "scene-2: metered at 30 s, f/5.6" in capsys.readouterr().out
+    assert main(["plan", "other.json", "--aperture", "scene-1=11", "--remeter", "scene-2=20"]) == 0
     assert Path("plan.json").read_bytes() == before
-    assert [scene.name for scene in Plan.load("other.json").scenes] == ["scene-1", "scene-2", "scene-3"]
-    assert json.loads(Path("shown.json").read_text()) == json.loads(Path("other.json").read_text())
+    apertures_set = {scene.name: scene.aperture for scene in Plan.load("other.json").scenes}
+    assert apertures_set == {"scene-1": 11, "scene-2": Fraction("5.6"), "scene-3": 8}
+    shown = json.loads(Path("shown.json").read_text())
+    assert [scene["aperture"] for scene in shown["scenes"]] == ["8", "28/5", "8"]
     assert sorted(path.name for path in at_work.iterdir()) == ["cam.json", "other.json", "plan.json", "shown.json"]
 
 
@@ -76,6 +99,7 @@ def test_calibration_frames(at_work: Path, capsys: pytest.CaptureFixture[str]) -
 
 NEW = "plan --camera cam.json"
 ONE = f"{NEW} --scenes 1 --metered 4"
+MANIFEST = "manifest plan.json card -o mine.csv"
 
 
 @in_one_test(
@@ -98,15 +122,32 @@ ONE = f"{NEW} --scenes 1 --metered 4"
         ("plan --metered soon", "argument --metered: expected seconds above 0, such as 4, 1/2"),
         ("plan --isos " + "9" * 5000, "expected a whole number"),
         ("plan plan.json --factors 10", "--factors is for a new plan; plan.json has its own"),
+        ("plan plan.json --note scene-1=", "--note: expected a scene and a text, such as scene-2=bookshelf"),
+        *(
+            (f"plan plan.json --aperture {f_number}", "expected an f-number")
+            for f_number in ("x", "0", "=8", "s=", "1000")
+        ),
+        ("checklist plan.json --format html", "a page needs a file"),
+        ("checklist plan.json -o list.pdf", "expected a name that ends in .html, .md or .txt"),
+        ("checklist plan.json -o plan.json --format txt", "-o: plan.json is a file that this command reads"),
+        ("manifest plan.json card -o mine.json", "expected a name that ends in .csv"),
+        ("manifest plan.json card -o plan.csv", "-o: plan.json is a file that this command reads"),
+        (MANIFEST, "card: no such file or folder"),
+        ("manifest plan.json plan.json -o mine.csv", "no raw file (.dng) was given"),
+        (f"{MANIFEST} --only scene-7", "no scene called 'scene-7'"),
+        (f"{MANIFEST} --only calibration", "the plan has no calibration frames"),
+        (f"{MANIFEST} --append", "--append goes with --copy-to DIR or --link-to DIR"),
+        (f"{MANIFEST} --append --copy-to set", "this set does not exist yet; leave --append out"),
+        ("check mine.csv --sheet sheet.gif", "expected a name that ends in .html"),
     ],
 )
 def test_wrong_usage_is_one_line(at_work: Path, line: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    before = Path("cam.json").read_bytes()
+    plan_of("4").save("plan.json")
+    before = {path.name: path.read_bytes() for path in at_work.iterdir()}
     assert main(line.split()) == 2
     output, errors = capsys.readouterr()
     assert output == ""
-    assert errors.startswith(("capture camera: ", "capture plan: "))
+    assert errors.startswith(f"capture {line.split(maxsplit=1)[0]}: ")
     assert errors.count("\n") == 1
     assert words in errors
-    assert Path("cam.json").read_bytes() == before
-    assert [path.name for path in at_work.iterdir()] == ["cam.json"]
+    assert {path.name: path.read_bytes() for path in at_work.iterdir()} == before

@@ -158,6 +158,7 @@ GOOD: dict[str, Any] = {
         ({"shutter": LADDER | {"fastest": "1/7000"}}, "steps of 1/3 stop; the nearest is 1/6400 s"),
         ({"shutter": LADDER | {"fastest": "30", "slowest": "1"}}, "the fastest time, 30 s, is slower than"),
         ({"shutter": {"times": []}}, "shutter times: expected at least one, found none"),
+        ({"shutter": {"times": ["1/2", "0.5"]}}, "expected each time once, found 0.5 twice"),
         ({"shutter": {"times": ["1", "1/2"]}}, "expected the fastest first, found 0.5 after 1"),
         ({"shutter": {"times": ["1/2"], "fastest": "1/8"}}, "field shutter.fastest: is unknown; known are step, "),
         ({"shutter": {"times": ["1/2"], "true_times": "roughly"}}, "expected one of 'powers-of-two', 'as-named'"),

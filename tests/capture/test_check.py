@@ -257,29 +257,6 @@ def test_the_limits_are_those_of_a_perfect_denoiser() -> None:
     assert [-20 * math.log10(error) for error in errors] == pytest.approx(expected_db)
 
 
-def as_dialled(shot: Shot) -> Shot:
-    """EXIF has the names of a shutter's times, 30 s and 1/25 s, which are 32 s and 2^(-14/3) s; 4 s stand for 32 s."""
-    if shot.iso == 100:
-        return replace(shot, exif=Exposure(Fraction(100), Fraction(30)))
-    given_s = Fraction(2 ** (-14 / 3) * 4 / 32).limit_denominator(10**6)
-    return replace(shot, exif=Exposure(Fraction(shot.iso), Fraction(1, 25)), exposure_s=given_s)
-
-
-def test_a_ratio_that_exif_rounds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """EXIF's 93.75 where the pixels show 101.59: somebody has to look."""
-    write_scenes(tmp_path, {(2, n): as_dialled for n in (1, 4, 6, 16)}, scenes=(2,), ids=(1, 4, 6, 16))
-    csv, out, sheet = tmp_path / "manifests" / "my.csv", tmp_path / "check.json", tmp_path / "sheet.html"
-    arguments = ["check", str(csv), "--root", str(tmp_path / "data"), "--json", str(out)]
-    assert main([*arguments, "--sheet", str(sheet)]) == 1
-    assert "EXIF has the rounded names of the shutter's times" in capsys.readouterr().out
-    assert "1 pairs" in sheet.read_text()
-    (row,) = json.loads(out.read_text())["groups"][0]["pairs"]
-    assert row["verdict"] == "look"
-    found = row["measured"]["EXIF ratio"]
-    assert found["value"] == pytest.approx(101.59, abs=5 * found["standard_error"])
-    assert found["standard_error"] < 0.5
-
-
 def test_gaps_of_values_by_their_share() -> None:
     """White noise of 8 DN, of 200,000 pixels: no gap as it is, a half of the values without the lowest bit."""
     mosaic = np.rint(np.random.default_rng(5).normal(512, 8, (400, 500))).astype(np.uint16)

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from capture.camera import EXAMPLE
-from capture.cli import main
 from capture.plan import Plan
-from tests.capture.simulated import plan_of
+from tests.capture.simulated import plan_of, run_capture
 from tests.cases import in_one_test
 from tests.shared import there
 
@@ -33,68 +32,56 @@ scene-2: metered at 30 s
 
 
 @pytest.fixture
-def at_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
+def at_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with the example camera."""
     monkeypatch.chdir(tmp_path)
-    assert main(["camera", "--example", "cam.json"]) == 0
-    capsys.readouterr()
+    run_capture("camera", "--example", "cam.json")
     return tmp_path
 
 
-def new(*options: str) -> int:
-    return main(["plan", "--camera", "cam.json", *options])
-
-
-def test_a_camera(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_camera(at_work: Path) -> None:
     replace(EXAMPLE, true_isos=((100, Fraction(81)),)).save("own.json")
-    assert main(["camera", "own.json", "--json", "shown.json"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = run_capture("camera", "own.json", "--json", "shown.json").splitlines()
     assert lines[0] == "SonyA7S2 (ILCE-7SM2): .ARW, bayer"
     assert lines[2] == "measured: ISO 100 is 81"
     assert lines[-1].split() == ["30", "s", "32", "s"]
-    times = json.loads(Path("shown.json").read_text())["times"]
+    times = json.loads((at_work / "shown.json").read_text())["times"]
     assert times[0] == {"dial": "1/8000", "nominal_s": "1/8000", "true_s": 2**-13}
 
 
-def test_a_plan_and_its_changes(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    settings = ["--isos", "800", "1600", "--factors", "10", "200"]
-    assert new("--scenes", "2", "--metered", "4", *settings, "-o", "plan.json") == 0
-    assert "scene-1, scene-2: metered at 4 s" in capsys.readouterr().out
-    assert main(["plan", "plan.json", "--remeter", "scene-2=30", "--note", "scene-1=books"]) == 0
-    output, errors = capsys.readouterr()
-    assert errors == ""
+def test_a_plan_and_its_changes(at_work: Path) -> None:
+    def run(line: str) -> str:
+        return run_capture("plan", *line.split())
+
+    output = run("--camera cam.json --scenes 2 --metered 4 --isos 800 1600 --factors 10 200 -o plan.json")
+    assert "scene-1, scene-2: metered at 4 s" in output
+    output = run("plan.json --remeter scene-2=30 --note scene-1=books")
     assert set(LINES.splitlines()) <= {" ".join(line.split()) for line in output.splitlines()}
     assert output.endswith("plan: plan.json\n")
     before = Path("plan.json").read_bytes()
-    assert main(["plan", "plan.json"]) == 0  # to look at
-    assert "plan: plan.json" not in capsys.readouterr().out
-    assert Path("plan.json").read_bytes() == before
-    apertures = ["--aperture", "scene-2=5.6", "--aperture", "f/8"]
-    command = ["plan", "plan.json", "--add-scene", "scene-3=2", *apertures, "-o", "other.json", "--json", "shown.json"]
-    assert main(command) == 0
-    assert "scene-2: metered at 30 s, f/5.6" in capsys.readouterr().out
-    assert main(["plan", "other.json", "--aperture", "scene-1=11", "--remeter", "scene-2=20"]) == 0
-    assert Path("plan.json").read_bytes() == before
-    apertures_set = {scene.name: scene.aperture for scene in Plan.load("other.json").scenes}
-    assert apertures_set == {"scene-1": 11, "scene-2": Fraction("5.6"), "scene-3": 8}
+    assert "plan: plan.json" not in run("plan.json")  # to look at
+    changes = "--add-scene scene-3=2 --aperture scene-2=5.6 --aperture f/8"
+    assert "scene-2: metered at 30 s, f/5.6" in run(f"plan.json {changes} -o other.json --json shown.json")
     shown = json.loads(Path("shown.json").read_text())
-    assert [scene["aperture"] for scene in shown["scenes"]] == ["8", "28/5", "8"]
+    assert shown == json.loads(Path("other.json").read_text())
+    run("other.json --aperture scene-1=11 --remeter scene-2=20")
+    apertures = {scene.name: scene.aperture for scene in Plan.load("other.json").scenes}
+    assert apertures == {"scene-1": 11, "scene-2": Fraction("5.6"), "scene-3": 8}
+    assert Path("plan.json").read_bytes() == before
     assert sorted(path.name for path in at_work.iterdir()) == ["cam.json", "other.json", "plan.json", "shown.json"]
 
 
-def test_calibration_frames(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert new("--calibration", "--flat-clips-at", "1/2", "--calibration-isos", "800", "100", "-o", "c.json") == 0
-    output = capsys.readouterr().out
+def test_calibration_frames(at_work: Path) -> None:
+    new = ("plan", "--camera", "cam.json", "-o", at_work / "plan.json")
+    output = run_capture(*new, "--calibration", "--flat-clips-at", "1/2", "--calibration-isos", "800", "100")
     assert "calibration: the surface clips at 1/2 s, ISO 100" in output
-    assert len(Plan.load("c.json").shots) == 2 * (10 + 12)
-    paper = ["--protocol", "paper", "-o", "plan.json"]
-    assert new("--scenes", "3", "--metered", "scene-2=4", "--metered", "2", *paper) == 0
-    assert [(str(scene.metered_s), len(scene.shots)) for scene in Plan.load("plan.json").scenes] == [
-        *[("2", 10), ("4", 10), ("2", 10)]
-    ]
-    assert main(["plan", "plan.json", "--calibration", "--flat-clips-at", "1/2", "--bias-frames", "6"]) == 0
-    found = there(Plan.load("plan.json").calibration)
-    assert (found.bias_frames, found.isos) == (6, (100, 200, 400, 800, 1600, 3200))
+    assert len(Plan.load("plan.json").shots) == 2 * (10 + 12)
+    run_capture(*new, "--scenes", "3", "--metered", "scene-2=4", "--metered", "2", "--protocol", "paper")
+    scenes = [(str(scene.metered_s), len(scene.shots)) for scene in Plan.load("plan.json").scenes]
+    assert scenes == [("2", 10), ("4", 10), ("2", 10)]
+    run_capture("plan", "plan.json", "--calibration", "--flat-clips-at", "1/2", "--bias-frames", "6")
+    calibration = there(Plan.load("plan.json").calibration)
+    assert (calibration.bias_frames, calibration.isos) == (6, (100, 200, 400, 800, 1600, 3200))
 
 
 NEW = "plan --camera cam.json"
@@ -141,13 +128,11 @@ MANIFEST = "manifest plan.json card -o mine.csv"
         ("check mine.csv --sheet sheet.gif", "expected a name that ends in .html"),
     ],
 )
-def test_wrong_usage_is_one_line(at_work: Path, line: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage_is_one_line(at_work: Path, line: str, words: str) -> None:
     plan_of("4").save("plan.json")
     before = {path.name: path.read_bytes() for path in at_work.iterdir()}
-    assert main(line.split()) == 2
-    output, errors = capsys.readouterr()
-    assert output == ""
-    assert errors.startswith(f"capture {line.split(maxsplit=1)[0]}: ")
-    assert errors.count("\n") == 1
-    assert words in errors
+    printed = run_capture(*line.split(), code=2)
+    assert printed.startswith(f"capture {line.split(maxsplit=1)[0]}: ")
+    assert printed.count("\n") == 1
+    assert words in printed
     assert {path.name: path.read_bytes() for path in at_work.iterdir()} == before

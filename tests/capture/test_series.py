@@ -21,12 +21,9 @@ from tests.capture.test_whole_path import shoot as shoot_scene
 if TYPE_CHECKING:
     from pathlib import Path
 
-LRID = CaptureProtocol(noisy_isos=(800,), low_light_factors=(10, 100), repeats=3, references=2)
+PROTOCOL = CaptureProtocol(noisy_isos=(800,), low_light_factors=(10, 100), repeats=3, references=2)
+LRID = make_plan(CAMERA, PROTOCOL, {"scene-1": Fraction(4)})
 HALF = Fraction(1, 2)
-
-
-def lrid(*metered: str) -> Plan:
-    return make_plan(CAMERA, LRID, {f"scene-{n}": Fraction(time) for n, time in enumerate(metered, 1)})
 
 
 # --- speeds of ISOs ---------------------------------------------------------------------------------------------------
@@ -72,7 +69,7 @@ def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path) -> None:
 
 def test_apertures_are_compared(tmp_path: Path) -> None:
     nights = Nights(tmp_path)
-    plan = lrid("4").set_aperture("scene-1", Fraction(8))
+    plan = LRID.set_aperture("scene-1", Fraction(8))
     given = ["8", "8", "8", "7.9", "8", "5.6", "8", "8", None, "8"]
     known = [None if text is None else Fraction(text) for text in given]
     taken = [replace(press, f_number=f_number) for press, f_number in zip(whole_plan(plan), known, strict=True)]
@@ -103,7 +100,7 @@ def test_bias_frames_of_a_warm_sensor(tmp_path: Path) -> None:
     """They are where eldata calibrate takes them from, and the usual frames are as if there were no other."""
     nights = Nights(tmp_path)
     frames = plan_calibration(CAMERA, 100, (800,), Fraction(1), bias_frames=4, flat_levels=(HALF,), warm=True)
-    plan, shots = replace(lrid("4"), calibration=frames), frames.shots
+    plan, shots = replace(LRID, calibration=frames), frames.shots
     assert [shot.number for shot in shots] == list(range(1, 4 + 2 + 4 + 1))
     usual = plan_calibration(CAMERA, 100, (800,), Fraction(1), bias_frames=4, flat_levels=(HALF,)).shots
     assert shots[:6] == usual

@@ -50,8 +50,9 @@ def checked(folder: Path, mishaps: dict[int, Mishap], scene: int = 1) -> Checked
 
 
 def named(group: CheckedGroup) -> set[tuple[str, int]]:
-    """Names and frame numbers of the measures that are beyond their limits."""
-    return {(one.name, int(one.path[-8:-4])) for one in group.reasons if isinstance(one, Measure)}
+    """Names and frame numbers of the measures that are beyond their limits; 0 for a folder's."""
+    measures = [reason for reason in group.reasons if isinstance(reason, Measure)]
+    return {(measure.name, int(measure.path[-8:-4]) if "IMG_" in measure.path else 0) for measure in measures}
 
 
 def value(group: CheckedGroup, name: str, number: int) -> Measure:

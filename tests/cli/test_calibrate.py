@@ -130,7 +130,14 @@ def without_flats(tree: FrameTree, *isos: int) -> None:
 
 
 def test_bias_frames_alone_with_a_stated_gain(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
+    """Without it there are figures and no profile."""
     without_flats(tree, *ISOS)
+    outcome = eldata("calibrate", tree.root, "--iso", "400", "--json", tmp_path / "d.json")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "no profile can be made: no ISO with bias frames has two flats of the same exposure" in outcome.out
+    data = json.loads((tmp_path / "d.json").read_text())
+    assert data["profile"] is None
+    assert data["isos"][0]["sigma_tl_dn"] > 0
     stated = [option for iso in ISOS for option in ("--gain", f"{iso}={iso / 400}")]
     outcome = eldata("calibrate", tree.root, *stated, "-o", tmp_path / "p.json", "--json", tmp_path / "d.json")
     assert (outcome.code, outcome.err) == (0, "")
@@ -179,16 +186,6 @@ def test_flats_alone_give_k(eldata: Cli, tree: FrameTree, tmp_path: Path) -> Non
     for name in ("p.json", "s.npz"):
         assert f"{tmp_path / name} was not written: " in lacking.out
         assert not (tmp_path / name).exists()
-
-
-def test_without_a_gain_there_are_figures_and_no_profile(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
-    without_flats(tree, *ISOS)
-    outcome = eldata("calibrate", tree.root, "--iso", "400", "--json", tmp_path / "d.json")
-    assert (outcome.code, outcome.err) == (0, "")
-    assert "no profile can be made: no ISO with bias frames has two flats of the same exposure" in outcome.out
-    data = json.loads((tmp_path / "d.json").read_text())
-    assert data["profile"] is None
-    assert data["isos"][0]["sigma_tl_dn"] > 0
 
 
 def test_a_light_leak_is_accepted(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:

@@ -57,8 +57,8 @@ def run(eldata: Cli, drv: SmallDrv, *arguments: object, code: int = 0) -> str:
 # --- the numbers, in every form ---------------------------------------------------------------------------------------
 
 
-def test_json_csv_and_tables(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
-    files = ("--csv", tmp_path / "a.csv", "--json", tmp_path / "a.json")
+def test_json_csv_tables_and_page(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    files = ("--csv", tmp_path / "a.csv", "--json", tmp_path / "a.json", "--html", tmp_path / "a.html")
     text = run(eldata, drv, predictions, *CHOSEN, *files)
     saved = load_result(tmp_path / "a.json")
     result = evaluate(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
@@ -79,14 +79,26 @@ def test_json_csv_and_tables(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_
     assert f"2 & {' & '.join(numbers)} \\\\" in latex
     assert r"\label{tab:drv-drv-rgb}" in latex
 
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert_well_formed(page)
+    text = checked(page).text
+    for words in ("soft on drv", "Complete: 2 of 2 videos", "ST-RRED by camera", "Every video", "Rescaling that was"):
+        assert words in text
+    for words in ("ISO", "Every image", "pairs"):
+        assert words not in text.rpartition("Where the numbers come from")[0]
+    # Two clips are two scenes: both are among the worst. Of each, the frame with the lowest PSNR is shown.
+    assert text.count("the frame with the lowest PSNR") == 2
+    assert page.count('data-layer="input"') == page.count('data-layer="error"') == 2
+
 
 def test_the_noisy_input(eldata: Cli, drv: SmallDrv, tmp_path: Path) -> None:
     """It equals the score of the frames themselves, saved as predictions."""
     for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
         frames = np.stack([read_rgb16(drv.data / path) for path in record.frames]).transpose(0, 3, 1, 2)
         save_clip_prediction(tmp_path / "own", record, frames)
-    text = run(eldata, drv, "--baseline", "input", *CHOSEN)
+    text = run(eldata, drv, "--baseline", "input", *CHOSEN, "--html", tmp_path / "b.html")
     assert text == run(eldata, drv, tmp_path / "own", *CHOSEN)
+    assert "The input itself on drv" in (tmp_path / "b.html").read_text(encoding="utf-8")
     baseline = evaluate(None, manifest=drv.csv, root=drv.root, ids=["0007", "0013"], baseline="input")
     assert baseline.provenance["predictions"] == "none: the input itself"
 
@@ -116,22 +128,6 @@ def test_cameras_and_flags(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_pa
 
 
 # --- pages and comparisons --------------------------------------------------------------------------------------------
-
-
-def test_page(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
-    run(eldata, drv, predictions, *CHOSEN, "--html", tmp_path / "a.html")
-    page = (tmp_path / "a.html").read_text(encoding="utf-8")
-    assert_well_formed(page)
-    text = checked(page).text
-    for words in ("soft on drv", "Complete: 2 of 2 videos", "ST-RRED by camera", "Every video", "Rescaling that was"):
-        assert words in text
-    for words in ("ISO", "Every image", "pairs"):
-        assert words not in text.rpartition("Where the numbers come from")[0]
-    # Two clips are two scenes: both are among the worst. Of each, the frame with the lowest PSNR is shown.
-    assert text.count("the frame with the lowest PSNR") == 2
-    assert page.count('data-layer="input"') == page.count('data-layer="error"') == 2
-    run(eldata, drv, "--baseline", "input", *CHOSEN, "--html", tmp_path / "b.html")
-    assert "The input itself on drv" in (tmp_path / "b.html").read_text(encoding="utf-8")
 
 
 def test_compare(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:

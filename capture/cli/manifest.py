@@ -44,7 +44,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--output",
         beside=[".json"],
         makes_folder=True,
-        type=_table_name,
+        type=_read_table_name,
         required=True,
         help="the manifest, such as manifests/mine.csv",
     )
@@ -63,7 +63,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, run, "jobs", json=True)
 
 
-def _table_name(text: str) -> str:
+def _read_table_name(text: str) -> str:
     if not text.endswith(".csv"):
         raise argparse.ArgumentTypeError(f"expected a name that ends in .csv, found {text!r}")
     return text
@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _leave_mapping(output, mapping_as_dict(part, observed, matched), accepting)
     if matched.doubtful and arguments.mapping is None and not arguments.yes and not _confirm():
         return _leave_mapping(output, mapping_as_dict(part, observed, matched), "--yes")
-    _write(plan, matched, existing, arguments, workers)
+    _write_set(plan, matched, existing, arguments, workers)
     return OK
 
 
@@ -163,7 +163,7 @@ def _leave_mapping(output: Path, mapping: dict[str, Any], accepting: str) -> int
     return PROBLEMS
 
 
-def _write(
+def _write_set(
     plan: Plan, matched: Match, existing: ExistingSet | None, arguments: argparse.Namespace, workers: Workers
 ) -> None:
     from capture.manifest import make_card, make_dataset, place_files

@@ -73,13 +73,13 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from capture.mapping import compare_apertures, explain_metering, load_mapping, mapping_as_dict
     from capture.matching import match
-    from capture.observed import observe, raw_files
+    from capture.observed import find_raw_files, observe
 
     output, place = Path(arguments.output), arguments.copy_to or arguments.link_to
     plan = load_plan(arguments)
     existing = _load_existing(arguments)
     lacking = plan if existing is None else existing.lacking(plan)
-    files = raw_files(arguments.files, plan.camera.raw_extension, outside=None if place is None else Path(place))
+    files = find_raw_files(arguments.files, plan.camera.raw_extension, outside=None if place is None else Path(place))
     workers = Workers(arguments.jobs)
     observed = observe(files, plan.camera.models, workers)
     if existing is not None:

@@ -181,7 +181,7 @@ def _plan_calibration(
     camera: CameraDescription, protocol: CaptureProtocol, arguments: argparse.Namespace
 ) -> CalibrationPlan | None:
     """Plan the calibration frames that are asked for."""
-    from capture.shots import BIAS_FRAMES, default_isos, plan_calibration
+    from capture.shots import BIAS_FRAMES, choose_isos, plan_calibration
 
     if not arguments.calibration:
         for name in ("flat_clips_at", "calibration_isos", "bias_frames", "warm"):
@@ -196,7 +196,7 @@ def _plan_calibration(
     return plan_calibration(
         camera,
         protocol.base_iso,
-        tuple(sorted(arguments.calibration_isos or default_isos(camera, protocol))),
+        tuple(sorted(arguments.calibration_isos or choose_isos(camera, protocol))),
         arguments.flat_clips_at,
         bias_frames=arguments.bias_frames or BIAS_FRAMES,
         warm=arguments.warm,
@@ -228,14 +228,14 @@ def _change_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 def format_plan(plan: Plan) -> str:
     """Format a plan: a table for the scenes of each metered time, and one for the calibration frames."""
-    from capture.observed import f_text
+    from capture.observed import format_f_number
     from capture.shots import describe_duration
 
     protocol = plan.protocol
     parts = [f"{plan.camera.name}: {len(plan.shots)} shots; {protocol}"]
     for time, f_number in dict.fromkeys((scene.metered_s, scene.aperture) for scene in plan.scenes):
         scenes = [scene for scene in plan.scenes if (scene.metered_s, scene.aperture) == (time, f_number)]
-        at = "" if f_number is None else f", {f_text(f_number)}"
+        at = "" if f_number is None else f", {format_f_number(f_number)}"
         names = [scene.name for scene in scenes]
         title = f"{', '.join(names)}: metered at {time} s{at}"
         notes = [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]

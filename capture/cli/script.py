@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from capture.checklist import TEMPLATES, ChecklistRow, calibration_parts
 from capture.cli.values import add_plan, load_plan
-from capture.observed import f_text
+from capture.observed import format_f_number
 from capture.plan import CALIBRATION
 from capture.shots import format_minutes, sum_duration_s
 from eldata.base.console import OK, add_output, add_shared
@@ -96,7 +96,7 @@ def _split_time(time: ShutterTime) -> list[str]:
 def _list_scene_words(plan: Plan, scene: ScenePlan) -> Iterator[str]:
     yield f"Metered at {scene.metered_s} s, ISO {plan.protocol.base_iso}"
     if scene.aperture is not None:
-        yield f"Aperture {f_text(scene.aperture)}"
+        yield f"Aperture {format_f_number(scene.aperture)}"
     yield from scene.remarks
     yield from scene.notes
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -126,3 +126,14 @@ def test_a_flat_without_a_partner(frames: Set) -> None:
     _, flat = frames.check()
     assert flat.verdict == "look"
     assert flat.format_text().count("has no partner") == 2
+
+
+def test_what_cannot_be_compared(frames: Set) -> None:
+    """One bias frame alone, and a pair of flats without light."""
+    for number in (11, 12):
+        frames.change(number, lambda dn: 512 + (dn - 512) / 1000)
+    few = [record for record in frames.manifest.records if record.path.endswith(("01.dng", "11.dng", "12.dng"))]
+    bias, flat = check(replace(frames.manifest, records=tuple(few)), frames.folder / "data").groups
+    assert "IMG_0001.dng: is the only bias frame of this ISO" in bias.format_text()
+    assert "IMG_0012.dng: too dark, or too much of it saturated, to compare it with its partner" in flat.format_text()
+    assert bias.verdict == flat.verdict == "look"

@@ -109,6 +109,10 @@ MISHAPS: dict[str, tuple[dict[int, Mishap], int, set[tuple[str, int]], str]] = {
     "another scene": (SCENE_2, 1, {("match", 5)}, "shoot again"),
     "wrong EXIF": (WRONG_EXIF, 1, {("EXIF ratio", 5)}, "shoot again"),
     "lens capped": ({15: lit(-100)}, 1, {("signal", 15)}, "shoot again"),
+    # Nearer to the ratio of the shutter's true times, 101.6, than to EXIF's 100, and near neither.
+    "other light": ({4: lit(-3)}, 1, {("EXIF ratio", 4)}, "shoot again"),
+    # An eighth longer: beyond the tenth by which a ratio may be off its nominal one.
+    "longer": ({5: exposed("1/350", stated=False)}, 1, {("ratio", 5), ("EXIF ratio", 5)}, "shoot again"),
 }
 
 
@@ -135,6 +139,18 @@ def test_measures_have_the_values_that_were_planted(tmp_path: Path) -> None:
     assert "EXIF does not show it; it fits IMG_0004.dng (x100): swapped?" in value(group, "ratio", 5).kind.advice
     assert "EXIF says the same" in value(group, "ratio", 15).kind.advice
     assert value(group, "EXIF ratio", 15).kind.expected == 100
+
+
+def test_black_beyond_a_hundredth_of_full_scale(tmp_path: Path) -> None:
+    """Amplified by 100, 2 DN are 1.4 %; in frame 14, of ISO 3200, 1 DN is beyond 1 % by less than its error."""
+    added = {4: 2, 14: 1}
+    manifest = write_scenes(
+        tmp_path, ids=(1, 4, 6, 14, 16), seed=1, digital=lambda _, number, dn: dn + np.uint16(added.get(number, 0))
+    )
+    (group,) = check(manifest, tmp_path / "data").groups
+    assert named(group) == {("offset", 4)}
+    assert value(group, "offset", 4).value == pytest.approx(1.4, abs=0.1)
+    assert value(group, "offset", 14).value > 1
 
 
 # --- files --------------------------------------------------------------------------------------------------------

@@ -113,3 +113,7 @@ def test_an_archive_saved_by_hand(eldata: Cli, small: server.Site, data: Path) -
     assert "1 files beside the dataset's folder stay in it" in outcome.out
     assert tree(data) == {f"SID/{name}": content for name, content in FILES.items()}
     assert small.requests == []
+    (data / "SID" / next(iter(FILES))).write_bytes(b"another")
+    again = eldata("download", "small", "--from", saved)
+    assert again.code == 1
+    assert "all 6 files are in data/SID, but some differ from the archive" in again.out

@@ -60,6 +60,8 @@ def test_what_is_printed_draws_the_pictures(eldata: Cli, tree: Tree, several: li
     assert eldata(*shlex.split(command)[1:]).code == 0
     assert len(list((out / "pictures-pictures").iterdir())) >= 12
     assert "to see" not in eldata("evaluate", *several[:2], *tree.arguments, "--format", "latex", "-o", out).out
+    next(several[1].rglob("*.npy")).write_bytes(b"")  # which stays a problem where missing ones are allowed
+    assert eldata("evaluate", *several[:2], *tree.arguments, "--allow-missing").code == 1
 
 
 def test_refusals(eldata: Cli, tree: Tree, several: list[Path], tmp_path: Path) -> None:

@@ -133,9 +133,7 @@ def test_every_help_explains_each_option_and_ends_with_an_example_that_parses(
         for option in options:
             if option.option_strings and option.metavar == "FILE" and re.search(r"\bwrite\b", str(option.help)):
                 assert option.dest in outputs, f"{parser.prog} does not check {option.dest} before its work"
-        examples = [
-            line.strip() for line in parser.format_help().splitlines() if re.match("    (eldata|capture) ", line)
-        ]
+        examples = re.findall(r"^    ((?:eldata|capture) .*)", parser.format_help(), flags=re.MULTILINE)
         assert examples, parser.prog
         for example in examples:
             assert example.startswith(parser.prog)

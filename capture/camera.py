@@ -68,19 +68,12 @@ class ExactNumber:
         A positive fraction.
     stops
         Exponent of two: stops in a photographer's sense.
-
-    Raises
-    ------
-    ArgumentError
-        If the coefficient is not above 0.
     """
 
     coefficient: Fraction
     stops: Fraction = Fraction(0)
 
     def __post_init__(self) -> None:
-        if not self.coefficient > 0:
-            raise ArgumentError(f"coefficient must be above 0, found {self.coefficient}")
         whole = math.floor(self.stops)
         object.__setattr__(self, "coefficient", Fraction(self.coefficient) * Fraction(2) ** whole)
         object.__setattr__(self, "stops", Fraction(self.stops) - whole)
@@ -213,7 +206,7 @@ class Shutter:
         ladder(self.step)
         if not self.dials:
             raise CaptureError("shutter times: expected at least one, found none")
-        times = _times(self.dials, self.step, self.true_times)
+        times = _read_times(self.dials, self.step, self.true_times)
         if self.bulb_s and not times[-1].nominal_s < self.bulb_s <= _LONGEST_BULB_S:
             raise CaptureError(
                 f"bulb_s: expected whole seconds above the slowest time, {self.dials[-1]} s, and up to "
@@ -236,7 +229,7 @@ class Shutter:
         CaptureError
             If one of them is not a standard time of this step, or the fastest is slower than the slowest.
         """
-        first, last = (_standard(name, step).nominal_s for name in (fastest, slowest))
+        first, last = (_find_standard(name, step).nominal_s for name in (fastest, slowest))
         if first > last:
             raise CaptureError(f"shutter: the fastest time, {fastest} s, is slower than the slowest, {slowest} s")
         dials = tuple(time.dial for nominal_s, time in ladder(step).items() if first <= nominal_s <= last)
@@ -245,19 +238,19 @@ class Shutter:
     @property
     def times(self) -> tuple[ShutterTime, ...]:
         """The times, fastest first: the dial's, then the bulb setting's in steps, ``bulb 64``."""
-        named = _times(self.dials, self.step, self.true_times)
-        return (*named, *_bulb_times(named[-1], self.step, self.bulb_s))
+        named = _read_times(self.dials, self.step, self.true_times)
+        return (*named, *_list_bulb_times(named[-1], self.step, self.bulb_s))
 
 
 @cache
-def _times(dials: tuple[str, ...], step: Fraction, true_times: TrueTimes) -> tuple[ShutterTime, ...]:
+def _read_times(dials: tuple[str, ...], step: Fraction, true_times: TrueTimes) -> tuple[ShutterTime, ...]:
     if true_times == "powers-of-two":
-        return tuple(_standard(dial, step) for dial in dials)
+        return tuple(_find_standard(dial, step) for dial in dials)
     return tuple(ShutterTime(dial, parse_seconds(dial), as_exact(parse_seconds(dial))) for dial in dials)
 
 
 @cache
-def _bulb_times(slowest: ShutterTime, step: Fraction, bulb_s: int) -> tuple[ShutterTime, ...]:
+def _list_bulb_times(slowest: ShutterTime, step: Fraction, bulb_s: int) -> tuple[ShutterTime, ...]:
     """Return whole seconds that go on in the camera's steps: after 30 s (2^5 s) in thirds 40, 51, 64, 81 and so on."""
     times: dict[int, ShutterTime] = {}
     seconds, steps = 0, 1
@@ -278,7 +271,7 @@ def borders(shutter: Shutter) -> tuple[ExactNumber, ...]:
     return tuple(one * other for one, other in pairwise([given[0] / first, *given, given[-1] * last]))
 
 
-def _standard(name: str, step: Fraction) -> ShutterTime:
+def _find_standard(name: str, step: Fraction) -> ShutterTime:
     seconds = parse_seconds(name)
     known = ladder(step)
     time = known.get(seconds)

@@ -1,4 +1,4 @@
-"""The errors of ``capture``, like those of :mod:`eldata.errors`: what, expected, found, what to do."""
+"""The errors of ``capture``; like :mod:`eldata.errors`, they say what was expected and found, and what to do."""
 
 from __future__ import annotations
 

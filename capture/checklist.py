@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from capture.capture_errors import CaptureError, ImpossibleShotError
-from capture.observed import f_text
-from capture.shots import WARM, ScenePlan, format_minutes, scene_shots
+from capture.observed import format_f_number
+from capture.shots import WARM, ScenePlan, format_minutes, plan_shots
 from eldata.base.fields import TextFile
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
@@ -169,7 +169,7 @@ def html_checklist(plan: Plan) -> str:
         "checklist.html",
         TEMPLATES,
         plan=plan,
-        f_text=f_text,
+        format_f_number=format_f_number,
         time_needed=format_minutes(plan.duration_s),
         scene_rows=[(scene, make_rows(scene.shots)) for scene in plan.scenes],
         parts=calibration_parts(plan),
@@ -222,7 +222,7 @@ def _list_times(plan: Plan) -> list[dict[str, Any]]:
     for metered_s in sorted(shown):
         row: dict[str, Any] = {"metered": str(metered_s), "shown": shown[metered_s]}
         try:
-            scene = ScenePlan("", metered_s, scene_shots(plan.camera, plan.protocol, metered_s))
+            scene = ScenePlan("", metered_s, plan_shots(plan.camera, plan.protocol, metered_s))
         except ImpossibleShotError as error:
             row["problem"] = str(error)
         else:
@@ -280,7 +280,7 @@ def _format_checklist(
         steps = (f"{number}. {text}" for number, text in enumerate(read_steps(plan), 1))
         parts += [heading(2, "At each scene"), "\n".join(steps)]
     for scene in plan.scenes:
-        at = f"ISO {protocol.base_iso}{'' if scene.aperture is None else f', {f_text(scene.aperture)}'}"
+        at = f"ISO {protocol.base_iso}{'' if scene.aperture is None else f', {format_f_number(scene.aperture)}'}"
         lines = [f"Planned for a metered time of {scene.metered_s} s at {at}. Metered: ________ s"]
         lines += [f"Note: {plain(note)}" for note in scene.notes] + [plain(remark) for remark in scene.remarks]
         parts += [heading(2, scene.name), "\n".join(f"- {line}" for line in lines), rows(scene.shots)]

@@ -110,9 +110,9 @@ def make_dataset(
     Raises
     ------
     CaptureError
-        If the files share only the root of the file system; or like :meth:`ExistingSet.rows_of`.
+        If the files share only the root of the file system; or like :meth:`ExistingSet.find_rows`.
     """
-    there = {} if existing is None else existing.rows_of(plan)
+    there = {} if existing is None else existing.find_rows(plan)
     listed = {record.path for record in there.values()}
     before = [] if existing is None else [record for record in existing.records if record.path not in listed]
     paths = {slot: record.path for slot, record in there.items()}
@@ -182,7 +182,7 @@ def _hash_file(row: Placement) -> Placement:
 
 
 def title_set(records: Sequence[FrameRecord]) -> str:
-    """Say what a set holds, in words."""
+    """Describe a set's scenes and cameras."""
     return title_of_set(records, len({record.scene for record in records} - {""}))
 
 
@@ -209,7 +209,7 @@ def make_card(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]
 
 @dataclass(frozen=True, slots=True)
 class ExistingSet:
-    """A set that is there: its manifest's path, and what this and its card say."""
+    """An existing set: the path of its manifest, its card and its rows."""
 
     path: Path
     card: Card
@@ -239,7 +239,7 @@ class ExistingSet:
             )
         return cls(path, card, records)
 
-    def rows_of(self, plan: Plan) -> dict[Slot, FrameRecord]:
+    def find_rows(self, plan: Plan) -> dict[Slot, FrameRecord]:
         """Return the rows of a plan's shots, by scene and number.
 
         Raises
@@ -268,9 +268,9 @@ class ExistingSet:
         Raises
         ------
         CaptureError
-            Like :meth:`rows_of`.
+            Like :meth:`find_rows`.
         """
-        there = self.rows_of(plan)
+        there = self.find_rows(plan)
 
         def keep(scene: str, shots: Sequence[Shot]) -> tuple[Shot, ...]:
             return tuple(shot for shot in shots if (scene, shot.number) not in there)

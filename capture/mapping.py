@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from capture.capture_errors import CaptureError
 from capture.matching import Match, MatchRemark, can_be, describe_missing, match
-from capture.observed import f_text, same_aperture
+from capture.observed import format_f_number, same_aperture
 from eldata.base.fields import TextFile
 from eldata.errors import EldataError
 
@@ -140,10 +140,11 @@ def compare_apertures(plan: Plan, frames: Mapping[Slot, ObservedFrame]) -> tuple
             if frame is None or frame.f_number is None or scene.aperture is None:
                 continue
             if not same_aperture(frame.f_number, scene.aperture):
+                taken, planned = format_f_number(frame.f_number), format_f_number(scene.aperture)
                 text = (
-                    f"{frame.path.name} ({scene.name} frame {shot.number}): taken at {f_text(frame.f_number)}, where "
-                    f"the plan has {f_text(scene.aperture)}: take the scene again; or, if all of it was taken so, "
-                    f"correct the plan with capture plan --aperture {scene.name}={float(frame.f_number):.4g}"
+                    f"{frame.path.name} ({scene.name} frame {shot.number}): taken at {taken}, where the plan has "
+                    f"{planned}: take the scene again; or, if all of it was taken so, correct the plan with "
+                    f"capture plan --aperture {scene.name}={float(frame.f_number):.4g}"
                 )
                 remarks.append(MatchRemark("aperture", text, scene.name, shot.number, frame.path))
     return tuple(remarks)

@@ -152,7 +152,7 @@ def describe_missing(title: str, shot: Shot) -> str:
 
 
 def list_blocks(plan: Plan) -> tuple[ShotBlock, ...]:
-    """List what is taken in one go: scenes, then bias frames and flats by ISO."""
+    """List the blocks: scenes, then bias frames and flats by ISO."""
     blocks = [ShotBlock(scene.name, scene.name, scene.shots) for scene in plan.scenes]
     groups: dict[str, list[Shot]] = defaultdict(list)
     for shot in () if plan.calibration is None else plan.calibration.shots:
@@ -194,47 +194,47 @@ class _Matcher:
         )
         placed: list[tuple[ShotBlock, tuple[int | None, ...]]] = []
         for sequence, blocks in enumerate(kinds.values()):
-            kept = self._most_whole([frames for number, frames in stretches if number == sequence], blocks)
+            kept = self._keep_most_whole([frames for number, frames in stretches if number == sequence], blocks)
             placed += zip(blocks, kept, strict=False)
             if 0 < len(kept) < len(blocks):
                 lost = blocks[len(kept) :]
-                self._note(
-                    "ambiguous",
-                    f"{_titles(blocks)} have equal exposures, and {len(kept)} of these {len(blocks)} were found: taken "
-                    f"for the first ones, so {_titles(lost)} {'is' if len(lost) == 1 else 'are'} missing. If another "
-                    "one is, edit the mapping",
+                text = (
+                    f"{_join_titles(blocks)} have equal exposures, and {len(kept)} of these {len(blocks)} were found: "
+                    f"taken for the first ones, so {_join_titles(lost)} {'is' if len(lost) == 1 else 'are'} missing. "
+                    "If another one is, edit the mapping"
                 )
-        placed.sort(key=lambda pair: _ends(pair[1])[0])
+                self._note("ambiguous", text)
+        placed.sort(key=lambda pair: _find_ends(pair[1])[0])
         blocks = [block for block, _ in placed]
         if blocks != [block for block in self.blocks if block in blocks]:
-            self._note("scene-order", f"taken in the order {_titles(blocks)}")
+            self._note("scene-order", f"taken in the order {_join_titles(blocks)}")
         self.used = {
             index: (block, shot)
             for block, frames in placed
             for shot, index in zip(block.shots, frames, strict=True)
             if index is not None
         }
-        ends = [_ends(frames) for _, frames in placed]
+        ends = [_find_ends(frames) for _, frames in placed]
         starts = [0, *(last + 1 for _, last in ends)]
         stops = [*(first for first, _ in ends[1:]), len(self.frames)]
         return {block: range(*ends) for block, *ends in zip(blocks, starts, stops, strict=False)}
 
-    def _most_whole(
+    def _keep_most_whole(
         self, stretches: list[tuple[int | None, ...]], blocks: Sequence[ShotBlock]
     ) -> list[tuple[int | None, ...]]:
         """Keep as many stretches as there are blocks: those with the most shots; of two equal ones, the later."""
         spare = len(stretches) - len(blocks)
         if spare <= 0:
             return stretches
-        ranked = sorted(stretches, key=lambda frames: (sum(i is not None for i in frames), _ends(frames)[0]))
+        ranked = sorted(stretches, key=lambda frames: (sum(i is not None for i in frames), _find_ends(frames)[0]))
         if len(blocks) > 1:
-            names = ", ".join(" to ".join(map(self._name, _ends(frames))) for frames in ranked[:spare])
+            names = ", ".join(" to ".join(map(self._name, _find_ends(frames))) for frames in ranked[:spare])
             self._note(
                 "ambiguous",
-                f"{_titles(blocks)} have equal exposures, and {len(stretches)} such series were found for "
+                f"{_join_titles(blocks)} have equal exposures, and {len(stretches)} such series were found for "
                 f"{len(blocks)}: left out as a first attempt: {names}. If another one is, edit the mapping",
             )
-        return sorted(ranked[spare:], key=_ends)
+        return sorted(ranked[spare:], key=_find_ends)
 
     # --- what is left over --------------------------------------------------------------------------------------------
 
@@ -265,9 +265,9 @@ class _Matcher:
         """
         used = [index for index in run if index in self.used]
         cuts = {
-            max(range(one + 1, other + 1), key=self._pause)
-            for one, other in pairwise(used)
-            if self.used[one][0] is not self.used[other][0]
+            max(range(before + 1, after + 1), key=self._pause)
+            for before, after in pairwise(used)
+            if self.used[before][0] is not self.used[after][0]
         }
         if used:
             (first, first_shot), (last, last_shot) = self.used[used[0]], self.used[used[-1]]
@@ -290,7 +290,7 @@ class _Matcher:
             for shot in block.shots:
                 if shot.number in at:
                     continue
-                spare = [i for i in self._unexplained(window) if i in self.fitting[shot.settings]]
+                spare = [i for i in self._list_unexplained(window) if i in self.fitting[shot.settings]]
                 if not spare:
                     continue
                 middle = max((i for number, i in at.items() if number < shot.number), default=min(at.values()))
@@ -309,11 +309,8 @@ class _Matcher:
             for shot in block.shots:
                 if shot.number in at:
                     continue
-                text = (
-                    describe_missing(block.title, shot)
-                    if at
-                    else f"{block.title}: none of its {len(block.shots)} frames"
-                )
+                nothing = f"{block.title}: none of its {len(block.shots)} frames"
+                text = describe_missing(block.title, shot) if at else nothing
                 near = self._find_meant(shot, windows[block], at) if at else None
                 if near is not None:
                     frame = self.frames[near]
@@ -327,7 +324,7 @@ class _Matcher:
         """Find the left-over frame that is where a missing shot should be, with the ISO or time slightly off."""
         low = max((i for number, i in at.items() if number < shot.number), default=window.start - 1)
         high = min((i for number, i in at.items() if number > shot.number), default=window.stop)
-        for index in self._unexplained(range(low + 1, high)):
+        for index in self._list_unexplained(range(low + 1, high)):
             frame = self.frames[index]
             if shot.setting.stops_off(frame.exposure_s) <= (_NEAR_STOPS if frame.iso == shot.iso else STOPS_TOLERANCE):
                 return index
@@ -335,7 +332,7 @@ class _Matcher:
 
     def note_extra(self, windows: Mapping[ShotBlock, range]) -> None:
         """Name the frames that are no shot's: repeated ones, and those that are not in the plan."""
-        for index in self._unexplained(range(len(self.frames))):
+        for index in self._list_unexplained(range(len(self.frames))):
             frame = self.frames[index]
             kind, text = "extra", "not a shot of the plan"
             for block in (block for block, window in windows.items() if index in window):
@@ -350,7 +347,7 @@ class _Matcher:
         """Return the frame of each shot of a block so far, by the shot's number."""
         return {shot.number: index for index, (owner, shot) in self.used.items() if owner is block}
 
-    def _unexplained(self, among: range) -> list[int]:
+    def _list_unexplained(self, among: range) -> list[int]:
         """Return the frames that are neither used nor remarked on."""
         explained = {remark.path for remark in self.remarks}
         return [i for i in among if i not in self.used and self.frames[i].path not in explained]
@@ -365,11 +362,11 @@ class _Matcher:
         return self.frames[index].path.name
 
 
-def _titles(blocks: Sequence[ShotBlock]) -> str:
+def _join_titles(blocks: Sequence[ShotBlock]) -> str:
     return ", ".join(block.title for block in blocks)
 
 
-def _ends(frames: Sequence[int | None]) -> tuple[int, int]:
+def _find_ends(frames: Sequence[int | None]) -> tuple[int, int]:
     """Return the first and the last of a stretch's frames."""
     taken = [index for index in frames if index is not None]
     return min(taken), max(taken)

@@ -40,7 +40,7 @@ class ObservedFrame:
     @property
     def settings(self) -> str:
         """ISO and exposure time, to read."""
-        return f"ISO {number_text(self.iso)}, {exposure_text(self.exposure_s)}"
+        return f"ISO {number_text(self.iso)}, {format_exposure(self.exposure_s)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +78,14 @@ class Observed:
         return replace(self, frames=frames, copies=(*self.copies, *copies.items()))
 
 
-def exposure_text(seconds: Fraction) -> str:
+def format_exposure(seconds: Fraction) -> str:
     """Return an exposure time to read: ``1/200 s``, ``0.5 s``, ``4 s``."""
     if seconds.numerator == 1 and seconds.denominator > 2:
         return f"1/{seconds.denominator} s"
     return f"{number_text(seconds) if seconds >= Fraction(1, 4) else f'1/{float(1 / seconds):.4g}'} s"
 
 
-def f_text(f_number: Fraction) -> str:
+def format_f_number(f_number: Fraction) -> str:
     """Return an f-number to read: ``f/5.6``."""
     return f"f/{float(f_number):.4g}"
 
@@ -95,7 +95,7 @@ def same_aperture(one: Fraction, other: Fraction) -> bool:
     return abs(2 * log2(one / other)) <= STOPS_TOLERANCE
 
 
-def raw_files(given: Iterable[Path | str], extension: str, outside: Path | None = None) -> tuple[Path, ...]:
+def find_raw_files(given: Iterable[Path | str], extension: str, outside: Path | None = None) -> tuple[Path, ...]:
     """Return the raw files of an extension among files and folders, each once; folders are searched.
 
     Parameters
@@ -164,7 +164,7 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
     doubles = find_doubles(facts, workers, across=True)
     frames = [frame for frame in frames if frame.path not in doubles]
     by_time = all(frame.taken is not None for frame in frames)
-    frames.sort(key=lambda frame: (frame.taken if by_time else None, _natural(frame.path)))
+    frames.sort(key=lambda frame: (frame.taken if by_time else None, _split_numbers(frame.path)))
     copies = tuple((path, str(other)) for path, other in doubles.items())
     return Observed(tuple(frames), tuple(unusable), by_time, copies)
 
@@ -183,6 +183,6 @@ def _observe(path: Path) -> ObservedFrame | RawFileError:
     return ObservedFrame(path, iso, exposure_s, header.taken, header.model, header.exposure.f_number)
 
 
-def _natural(path: Path) -> list[tuple[int, int, str]]:
+def _split_numbers(path: Path) -> list[tuple[int, int, str]]:
     """Order by folder and name with numbers as numbers: ``DSC9.ARW`` before ``DSC10.ARW``."""
     return [(int(part.isdecimal()), int(part) if part.isdecimal() else 0, part) for part in _DIGITS.split(str(path))]

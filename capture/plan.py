@@ -78,7 +78,7 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """How long the shots take, without what is to be done between the scenes."""
+        """The time that the shots take, without the work between the scenes."""
         return sum_duration_s([shot for _, shot in self.shots])
 
     @property
@@ -126,7 +126,7 @@ class Plan:
         """
         scene = self.scene(name)
         shots = plan_scene(self.camera, self.protocol, name, metered_s).shots
-        return self._with(replace(scene, metered_s=metered_s, shots=shots))
+        return self._replace_scene(replace(scene, metered_s=metered_s, shots=shots))
 
     def set_aperture(self, name: str, aperture: Fraction) -> Plan:
         """Return the plan with a scene's aperture, an f-number.
@@ -136,7 +136,7 @@ class Plan:
         CaptureError
             If the scene is unknown.
         """
-        return self._with(replace(self.scene(name), aperture=aperture))
+        return self._replace_scene(replace(self.scene(name), aperture=aperture))
 
     def add_note(self, name: str, note: str) -> Plan:
         """Return the plan with one more note on a scene, which has each once.
@@ -147,9 +147,9 @@ class Plan:
             If the scene is unknown.
         """
         scene = self.scene(name)
-        return self._with(replace(scene, notes=tuple(dict.fromkeys((*scene.notes, note)))))
+        return self._replace_scene(replace(scene, notes=tuple(dict.fromkeys((*scene.notes, note)))))
 
-    def _with(self, changed: ScenePlan) -> Plan:
+    def _replace_scene(self, changed: ScenePlan) -> Plan:
         return replace(self, scenes=tuple(changed if scene.name == changed.name else scene for scene in self.scenes))
 
     def only(self, names: Sequence[str]) -> Plan:

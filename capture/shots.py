@@ -117,7 +117,7 @@ def describe_duration(shots: Sequence[Shot]) -> str:
 
 
 def _count_turns(shots: Sequence[Shot]) -> int:
-    changes = sum((one.iso != other.iso) + (one.setting != other.setting) for one, other in pairwise(shots))
+    changes = sum((shot.iso != last.iso) + (shot.setting != last.setting) for last, shot in pairwise(shots))
     return changes + 2 * bool(shots)
 
 
@@ -129,7 +129,7 @@ def format_minutes(seconds: float) -> str:
     return f"{hours} h {rest} min" if hours else f"{rest} min"
 
 
-def scene_shots(camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction) -> tuple[Shot, ...]:
+def plan_shots(camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction) -> tuple[Shot, ...]:
     """Return the shots of a scene, in order.
 
     The metered time becomes a setting first: the one marked so, else the nearest. Each noisy frame then gets the
@@ -144,7 +144,7 @@ def scene_shots(camera: CameraDescription, protocol: CaptureProtocol, metered_s:
         If a shot needs a time that the camera does not have; the message says what to change.
     """
     check_isos(camera, protocol)
-    shots = _shots_or_none(camera, protocol, metered_s)
+    shots = _try_shots(camera, protocol, metered_s)
     if isinstance(shots, tuple):
         return shots
     raise ImpossibleShotError(_say_what_to_change(camera, protocol, metered_s, shots))
@@ -165,13 +165,13 @@ def _check_iso(camera: CameraDescription, iso: int) -> None:
         )
 
 
-def _light_share(camera: CameraDescription, protocol: CaptureProtocol, frame: ProtocolFrame) -> Fraction:
+def _compute_light_share(camera: CameraDescription, protocol: CaptureProtocol, frame: ProtocolFrame) -> Fraction:
     """Return the time of a noisy frame over its reference's, by the ISOs' speeds and its factor."""
     return camera.speed(protocol.base_iso) / camera.speed(frame.iso) / (frame.factor or 1)
 
 
 @cache  # a checklist asks for every time on the dial, and what to change needs all of them
-def _shots_or_none(
+def _try_shots(
     camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction
 ) -> tuple[Shot, ...] | ProtocolFrame:
     """Return the shots, or the first frame that the camera cannot take."""
@@ -192,7 +192,7 @@ def _shots_or_none(
         if before is not None:
             shots.append(replace(before, number=frame.number, reference=frame.reference))
             continue
-        light = _light_share(camera, protocol, frame)
+        light = _compute_light_share(camera, protocol, frame)
         setting = camera.round_to_nearest(base.true_exact * light)
         if setting is None:
             return frame
@@ -213,9 +213,7 @@ def _say_what_to_change(
     camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction, frame: ProtocolFrame
 ) -> str:
     metered = f"metered at {metered_s} s (ISO {protocol.base_iso})"
-    fitting = [
-        time for time in camera.shutter.times if isinstance(_shots_or_none(camera, protocol, time.nominal_s), tuple)
-    ]
+    fitting = [time for time in camera.shutter.times if isinstance(_try_shots(camera, protocol, time.nominal_s), tuple)]
     if not fitting:
         exposures_s = [protocol.exposure_s(frame, metered_s) for frame in protocol.frames()]
         return (
@@ -312,7 +310,7 @@ def plan_scene(
         If one of its shots is beyond the camera; the message names the scene and says what to change.
     """
     try:
-        return ScenePlan(name, metered_s, scene_shots(camera, protocol, metered_s), notes)
+        return ScenePlan(name, metered_s, plan_shots(camera, protocol, metered_s), notes)
     except CaptureError as error:
         raise type(error)(f"{name}: {error}") from None
 
@@ -362,7 +360,7 @@ class CalibrationPlan:
     warm: bool = False
 
 
-def default_isos(camera: CameraDescription, protocol: CaptureProtocol) -> tuple[int, ...]:
+def choose_isos(camera: CameraDescription, protocol: CaptureProtocol) -> tuple[int, ...]:
     """Return the full stops from the base ISO to the highest noisy ISO, and the protocol's own ISOs.
 
     Names of ISOs are rounded: one stop above ISO 64 is ISO 125. A full stop that lies within half a stop of one of the
@@ -412,28 +410,23 @@ def plan_calibration(
         raise CaptureError(f"calibration ISOs: expected one or more, rising; found {list(isos)}")
     if not LEAST_BIAS_FRAMES <= bias_frames <= _MOST_FRAMES:
         raise CaptureError(f"bias frames per ISO: expected {LEAST_BIAS_FRAMES} to {_MOST_FRAMES}, found {bias_frames}")
-    if (
-        not flat_levels
-        or list(flat_levels) != sorted(set(flat_levels))
-        or not 0 < flat_levels[0] <= flat_levels[-1] < 1
-    ):
-        raise CaptureError(
-            f"flat levels: expected shares between 0 and 1, rising; found {', '.join(map(str, flat_levels))}"
-        )
+    levels = [0, *flat_levels, 1]
+    if not flat_levels or levels != sorted(set(levels)):
+        found = ", ".join(map(str, flat_levels))
+        raise CaptureError(f"flat levels: expected shares between 0 and 1, rising; found {found}")
     shots: list[Shot] = []
     remarks: list[str] = []
     named = camera.find_marked(flat_clips_at_s)
     clips_at = as_exact(flat_clips_at_s) if named is None else named.true_exact  # what the camera gives for it
-    capped = [
-        Shot(0, "bias", iso, camera.fastest.nominal_s, camera.fastest) for iso in isos for _ in range(bias_frames)
-    ]
+    fastest = camera.fastest
+    capped = [Shot(0, "bias", iso, fastest.nominal_s, fastest) for iso in isos for _ in range(bias_frames)]
     shots += capped
     for iso in isos:
         taken: list[Fraction] = []
         for level in flat_levels:
             target_s = flat_clips_at_s * level * Fraction(base_iso, iso)
             wanted = clips_at * level * (camera.speed(base_iso) / camera.speed(iso))
-            setting = _flat_setting(camera, iso, level, wanted, flat_clips_at_s)
+            setting = _choose_flat_setting(camera, iso, level, wanted, flat_clips_at_s)
             if setting.nominal_s in taken:
                 remarks.append(
                     f"ISO {iso}: no flats at {float(100 * level):.0f} %, which the camera's steps round to "
@@ -449,7 +442,7 @@ def plan_calibration(
     return CalibrationPlan(isos, bias_frames, flat_levels, flat_clips_at_s, numbered, tuple(remarks), warm)
 
 
-def _flat_setting(
+def _choose_flat_setting(
     camera: CameraDescription, iso: int, level: Fraction, wanted: ExactNumber, clips_at_s: Fraction
 ) -> ShutterTime:
     what = f"the flat of {float(100 * level):.0f} % at ISO {iso} needs {float(wanted):.3g} s"

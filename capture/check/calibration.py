@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.frames import ReducedFrame, Unit, file_name, map_picture, reduced_frames, scene_picture
-from capture.check.ratio import BLOCK, OF_MEDIAN, TO_SIGMA, brightness_ratios
+from capture.check.frames import ReducedFrame, Unit, draw_map, draw_scene, file_name, reduce_frames
+from capture.check.ratio import BLOCK, OF_MEDIAN, TO_SIGMA, measure_brightness
 from capture.check.result import CheckedGroup, Estimate, find_kind
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ _PICTURES: Final = 4  # of frames without a finding
 _SHOWN_DN: Final = 2.0  # the strongest colour of a map
 
 
-def patch_levels(cells: Cells) -> tuple[Levels, float]:
+def measure_patches(cells: Cells) -> tuple[Levels, float]:
     """Reduce a bias frame to patches: their levels over black, (8, 8), and the standard error of one; DN."""
     levels, errors = np.zeros((PATCHES, PATCHES)), np.zeros((PATCHES, PATCHES))
     for i, rows in enumerate(np.array_split(cells.mean_dn.astype(np.float64), PATCHES, axis=1)):
@@ -48,13 +48,13 @@ def check_bias(unit: Unit) -> CheckedGroup:
     group = CheckedGroup(unit.name, len(unit.records))
     patches: dict[str, tuple[Levels, float]] = {}
     noises_dn: list[float] = []
-    for frame in reduced_frames(unit, group):
+    for frame in reduce_frames(unit, group):
         path = frame.record.path
         if min(frame.cells.mean_dn.shape[1:]) < 2 * PATCHES:
             group.remark(path, "is too small to look for light leaks in")
             continue
         group.measure("black", path, Estimate(frame.cells.zero_share).in_percent())
-        patches[path] = patch_levels(frame.cells)
+        patches[path] = measure_patches(frame.cells)
         noises_dn.append(frame.cells.spread_dn)
     if len(patches) == 1:
         text = "is the only bias frame of this ISO: a light leak cannot be told from the sensor's own pattern"
@@ -69,8 +69,8 @@ def check_bias(unit: Unit) -> CheckedGroup:
 
 def _measure_shading(patches: Mapping[str, tuple[Levels, float]], noise_dn: float, group: CheckedGroup) -> None:
     """Measure how uneven all frames are together."""
-    first, (middle, error) = next(iter(patches)), _median_of(patches.values())
-    group.pictures.append(map_picture("all frames: level, ±2 DN", first, middle - middle.mean(), _SHOWN_DN))
+    first, (middle, error) = next(iter(patches)), _take_medians(patches.values())
+    group.pictures.append(draw_map("all frames: level, ±2 DN", first, middle - middle.mean(), _SHOWN_DN))
     kind = replace(find_kind("shading"), look=max(2.0, noise_dn))
     group.measure(kind, first.rpartition("/")[0] or ".", Estimate(float(np.ptp(middle)), 2**0.5 * error))
 
@@ -80,7 +80,7 @@ def _compare_with_others(
 ) -> None:
     """Measure one bias frame against the others; show the map of its difference if something is found."""
     others = [levels for other, levels in patches.items() if other != path]
-    middle, error_of_others = _median_of(others)
+    middle, error_of_others = _take_medians(others)
     change = patches[path][0] - middle
     error = float(np.hypot(patches[path][1], error_of_others))
     level = float(change.mean())
@@ -97,10 +97,10 @@ def _compare_with_others(
         group.measure(of_leak, path, Estimate(float(uneven[place]), error), where=where),
     )
     if len(others) < _PICTURES or any(measure.verdict != "keep" for measure in measures):
-        group.pictures.append(map_picture(f"{file_name(path)} less the others, ±2 DN", path, change, _SHOWN_DN))
+        group.pictures.append(draw_map(f"{file_name(path)} less the others, ±2 DN", path, change, _SHOWN_DN))
 
 
-def _median_of(patches: Collection[tuple[Levels, float]]) -> tuple[Levels, float]:
+def _take_medians(patches: Collection[tuple[Levels, float]]) -> tuple[Levels, float]:
     """Return the median level of each patch over frames, and its standard error."""
     error = OF_MEDIAN * float(np.mean([error for _, error in patches])) / len(patches) ** 0.5
     return np.median([levels for levels, _ in patches], axis=0), error
@@ -109,7 +109,7 @@ def _median_of(patches: Collection[tuple[Levels, float]]) -> tuple[Levels, float
 # --- flats ------------------------------------------------------------------------------------------------------------
 
 
-def unevenness(cells: Cells) -> float:
+def measure_unevenness(cells: Cells) -> float:
     """Return the distance of the 5th and the 95th percentile of the blocks over their median, of the worst channel."""
     mean, _ = cells.pooled(BLOCK, BLOCK)
     low, middle, high = np.quantile(mean.reshape(len(mean), -1), (0.05, 0.5, 0.95), axis=1)
@@ -120,35 +120,35 @@ def check_flats(unit: Unit) -> CheckedGroup:
     """Check the flats of one ISO; two in succession with the same exposure time are a pair."""
     group = CheckedGroup(unit.name, len(unit.records))
     waiting: ReducedFrame | None = None
-    for frame in reduced_frames(unit, group):
+    for frame in reduce_frames(unit, group):
         path = frame.record.path
         if min(frame.cells.mean_dn.shape[1:]) < BLOCK:
             group.remark(path, "is too small to check")
             continue
         group.measure("saturation", path, Estimate(frame.cells.clipped_share).in_percent())
-        group.measure("evenness", path, Estimate(unevenness(frame.cells)).in_percent())
+        group.measure("evenness", path, Estimate(measure_unevenness(frame.cells)).in_percent())
         if waiting is None or waiting.exposure.exposure_s != frame.exposure.exposure_s:
-            _leave_single(waiting, group)
+            _remark_single(waiting, group)
             waiting = frame
             continue
         _compare_pair(waiting, frame, group)
         mean, _ = waiting.cells.pooled(BLOCK, BLOCK)
         light = mean[1] / max(float(np.median(mean[1])), 1e-6) - 1
         caption = f"{file_name(waiting.record.path)}: light over its median, ±50 %"
-        group.pictures += [scene_picture(waiting, 1.0), map_picture(caption, waiting.record.path, light, 0.5)]
+        group.pictures += [draw_scene(waiting, 1.0), draw_map(caption, waiting.record.path, light, 0.5)]
         waiting = None
-    _leave_single(waiting, group)
+    _remark_single(waiting, group)
     return group
 
 
-def _leave_single(frame: ReducedFrame | None, group: CheckedGroup) -> None:
+def _remark_single(frame: ReducedFrame | None, group: CheckedGroup) -> None:
     if frame is not None:
         group.remark(frame.record.path, "has no partner of the same exposure time beside it: take flats in pairs")
 
 
 def _compare_pair(first: ReducedFrame, second: ReducedFrame, group: CheckedGroup) -> None:
     path = second.record.path
-    known = [ratio for ratio in brightness_ratios(first.cells, second.cells) if ratio is not None]
+    known = [ratio for ratio in measure_brightness(first.cells, second.cells) if ratio is not None]
     if not known:
         group.remark(path, "too dark, or too much of it saturated, to compare it with its partner")
         return

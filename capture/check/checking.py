@@ -77,12 +77,9 @@ def split_units(records: Sequence[FrameRecord], folder: Path, workers: Workers) 
     ]
 
 
-_CHECKS = {"bias": check_bias, "flat": check_flats}
-
-
 def check_unit(unit: Unit) -> CheckedGroup:
     """Check one unit of work."""
-    return _CHECKS.get(unit.records[0].role, check_scene)(unit)
+    return {"bias": check_bias, "flat": check_flats}.get(unit.records[0].role, check_scene)(unit)
 
 
 def _unit_name(record: FrameRecord) -> str:

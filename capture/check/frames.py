@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from capture.check.result import CheckedGroup, SheetPicture
-from capture.observed import exposure_text
+from capture.observed import format_exposure
 from eldata.base.files import inside
 from eldata.errors import EldataError, UnusableRawError
 from eldata.isp.rendering import srgb_encode
@@ -99,9 +99,9 @@ def reduce_to_cells(mosaic: Mosaic, sensor: Sensor, packed: NDArray[np.uint16]) 
     """Return a frame's cells, from its mosaic and the same packed; a frame smaller than a cell has none."""
     black = packed_black_level_dn(sensor.cfa, sensor.black_level_dn)
     range_dn = sensor.white_level_dn - float(black.max())
-    saturated = saturation_dn(mosaic, sensor)
-    counts = _summed(packed >= saturated) if int(mosaic.max()) >= saturated else None
-    mean: NDArray[np.float32] = _summed(packed).astype(np.float32)
+    saturated = find_saturation_dn(mosaic, sensor)
+    counts = _sum_cells(packed >= saturated) if int(mosaic.max()) >= saturated else None
+    mean: NDArray[np.float32] = _sum_cells(packed).astype(np.float32)
     mean /= CELL**2
     mean -= black[:, None, None]
     clipped = np.zeros(mean.shape, dtype=np.bool_) if counts is None else counts > 0
@@ -131,8 +131,8 @@ def luminance(packed: NDArray[np.uint16], cells: Cells) -> NDArray[np.float32]:
     return total
 
 
-def saturation_dn(mosaic: Mosaic, sensor: Sensor) -> float:
-    """Return the level from which on pixels are saturated: the recorded white level, or that of a pile below it.
+def find_saturation_dn(mosaic: Mosaic, sensor: Sensor) -> float:
+    """Find the level from which on pixels are saturated: the recorded white level, or a pile's below it.
 
     Some cameras saturate below the white level that their files state, by some DN more or less from pixel to pixel.
     """
@@ -147,7 +147,7 @@ def saturation_dn(mosaic: Mosaic, sensor: Sensor) -> float:
     return min(white, top - band + 1) if piled else white
 
 
-def _summed(packed: NDArray[np.uint16] | NDArray[np.bool_]) -> NDArray[np.uint32]:
+def _sum_cells(packed: NDArray[np.uint16] | NDArray[np.bool_]) -> NDArray[np.uint32]:
     """Return sums over cells; slices are added, since numpy sums short axes slowly."""
     height, width = (size // CELL * CELL for size in packed.shape[1:])
     crop = packed[:, :height, :width]
@@ -201,7 +201,7 @@ class Unit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedFrame:
-    """What is kept of a decoded frame, and its luminance, which is meant for use at once.
+    """The cells of a decoded frame, and its luminance, which is meant for use at once.
 
     ``empty_share``: of its values (:func:`capture.check.frames.empty_share`).
     """
@@ -222,7 +222,7 @@ class ReducedFrame:
         return replace(self.cells, mean_dn=self.cells.mean_dn * np.float32(scale), range_dn=self.cells.range_dn * scale)
 
 
-def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
+def reduce_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
     """Yield each frame reduced; at most ``unit.workers.jobs`` + 1 are in memory.
 
     A frame that cannot be read, or compared with the first one, is left out with a remark in ``group``.
@@ -256,7 +256,7 @@ def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
             "size": ((theirs.width, theirs.height), (ours.width, ours.height)),
             "colour filter array": (theirs.cfa, ours.cfa),
         }
-        problems = [f"{kind} {one}, where {path} has {other}" for kind, (one, other) in kinds.items() if one != other]
+        problems = [f"{kind} {new}, where {path} has {old}" for kind, (new, old) in kinds.items() if new != old]
         if problems:
             group.remark(record.path, f"{problems[0]}; take all frames with one camera and raw format", "shoot again")
         else:
@@ -271,37 +271,37 @@ def file_name(path: str) -> str:
 # --- small pictures for the contact sheet ----------------------------------------------------------------------------
 
 
-def scene_picture(frame: ReducedFrame, gain: float) -> SheetPicture:
+def draw_scene(frame: ReducedFrame, gain: float) -> SheetPicture:
     """Return a frame as a picture, amplified."""
     iso, time = frame.exposure.iso, frame.exposure.exposure_s
     settings = f"ISO {float(iso):g}" if iso is not None else "ISO ?"
-    settings += f", {exposure_text(time)}" if time is not None else ""
+    settings += f", {format_exposure(time)}" if time is not None else ""
     amplified = f", x{gain:g}" if gain != 1 else ""
     caption = f"{file_name(frame.record.path)}: {settings}{amplified}"
-    light = _three_colours(frame.cells) * gain / frame.cells.range_dn
+    light = _mean_colours(frame.cells) * gain / frame.cells.range_dn
     balance = frame.sensor.white_balance
     if balance is not None:
         light *= np.array(balance[:3], dtype=np.float32)
-    return SheetPicture(caption, frame.record.path, _jpeg(255 * srgb_encode(np.clip(light, 0, 1))))
+    return SheetPicture(caption, frame.record.path, _encode_jpeg(255 * srgb_encode(np.clip(light, 0, 1))))
 
 
-def change_picture(first: ReducedFrame, last: ReducedFrame) -> SheetPicture:
+def draw_change(first: ReducedFrame, last: ReducedFrame) -> SheetPicture:
     """Draw where the last reference is brighter (red) or darker (blue) than the first."""
-    before, after = (_three_colours(frame.cells)[..., 1] for frame in (first, last))
+    before, after = (_mean_colours(frame.cells)[..., 1] for frame in (first, last))
     floor = 0.01 * first.cells.range_dn
     change = (after - before) / np.maximum(before, floor)
     caption = f"{file_name(last.record.path)} over {file_name(first.record.path)}, ±{100 * _CHANGE_SHOWN:g} %"
-    return SheetPicture(caption, last.record.path, _jpeg(_diverging(change / _CHANGE_SHOWN)))
+    return SheetPicture(caption, last.record.path, _encode_jpeg(_colour_signed(change / _CHANGE_SHOWN)))
 
 
-def map_picture(caption: str, path: str, values: NDArray[np.floating], full: float) -> SheetPicture:
+def draw_map(caption: str, path: str, values: NDArray[np.floating], full: float) -> SheetPicture:
     """Return a map of values, blue at ``-full``, red at ``+full``."""
     scale = max(1, _WIDEST // (2 * values.shape[1]))
     larger = np.kron(values, np.ones((scale, scale)))
-    return SheetPicture(caption, path, _jpeg(_diverging(larger / full)))
+    return SheetPicture(caption, path, _encode_jpeg(_colour_signed(larger / full)))
 
 
-def _three_colours(cells: Cells) -> NDArray[np.float32]:
+def _mean_colours(cells: Cells) -> NDArray[np.float32]:
     """Return the means of R, G and B, (rows, columns, 3), in as many cells as a small picture has pixels."""
     group = max(1, -(-cells.mean_dn.shape[2] // _WIDEST))
     mean, _ = cells.pooled(group, group)
@@ -309,7 +309,7 @@ def _three_colours(cells: Cells) -> NDArray[np.float32]:
     return np.stack([mean[colours == colour].mean(axis=0) for colour in "RGB"], axis=-1)
 
 
-def _diverging(values: NDArray[np.floating]) -> NDArray[np.floating]:
+def _colour_signed(values: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return -1 as blue, 0 as light grey and 1 as red, 0 to 255."""
     strength = np.clip(values, -1, 1)[..., None]
     grey, red, blue = (np.array(colour) for colour in ((235, 235, 235), (190, 20, 30), (20, 70, 190)))
@@ -319,7 +319,7 @@ def _diverging(values: NDArray[np.floating]) -> NDArray[np.floating]:
     return colours
 
 
-def _jpeg(colours: NDArray[np.floating]) -> bytes:
+def _encode_jpeg(colours: NDArray[np.floating]) -> bytes:
     from PIL import Image
 
     image = Image.fromarray(np.rint(colours).astype(np.uint8))

@@ -1,4 +1,4 @@
-"""Ratios of brightness and of exposure, and what changed beside them, from block means of two frames.
+"""Ratios of brightness and of exposure, and other changes, from block means of two frames.
 
 Of frames of equal exposure, medians of ratios, one channel at a time. Of a noisy frame over its reference a line,
 ``mean_noisy = offset_c + mean_reference / ratio`` over all strips of 4 x 16 packed pixels that are not clipped, with an
@@ -77,7 +77,7 @@ class RatioFit:
         return Estimate(1 / slope, error / slope**2) if slope > SIGMAS * error else None
 
 
-def brightness_ratios(first: Cells, second: Cells) -> tuple[Estimate | None, ...]:
+def measure_brightness(first: Cells, second: Cells) -> tuple[Estimate | None, ...]:
     """Measure the brightness of ``second`` over ``first``, one estimate per packed channel.
 
     The median of ``mean_2 / mean_1`` over blocks that are well exposed and not clipped in both frames. Medians forgive
@@ -104,7 +104,7 @@ def brightness_ratios(first: Cells, second: Cells) -> tuple[Estimate | None, ...
     return tuple(estimates)
 
 
-def brightest_level(cells: Cells) -> float | None:
+def measure_brightest(cells: Cells) -> float | None:
     """Return the 99th percentile of the green blocks over black, as a share of the range; ``None`` without a block."""
     mean, _ = cells.pooled(BLOCK, BLOCK)
     if not mean.size:
@@ -117,37 +117,39 @@ def fit_ratio(reference: Cells, noisy: Cells, expected: float | None = None) -> 
 
     ``expected``: the exposure ratio that is stated.
     """
-    x, y, usable = _strips(reference, noisy)
+    x, y, usable = _pool_strips(reference, noisy)
     if int(usable.sum()) < _LEAST_STRIPS or noisy.zero_share > _ZERO_SHARE:
         return None
-    level = _levels(x, usable)
+    level = _bin_levels(x, usable)
     weight = usable.astype(np.float64)
     sigma = np.ones_like(x)
     for _ in range(_ROUNDS):
-        slope, offset, about_x = _line(x, y, weight)
+        slope, offset, about_x = _fit_line(x, y, weight)
         residual = y - offset[:, None, None] - slope * x
-        sigma = _scatter(residual, level, usable)[level]
+        sigma = _measure_scatter(residual, level, usable)[level]
         distance = np.abs(residual) / sigma
         weight = np.where(usable, np.minimum(1, _HUBER / np.maximum(distance, 1e-9)) / sigma**2, 0)
     by_row = (weight * about_x * residual).sum(axis=(0, 2)) / float((weight * about_x**2).sum())
     share = weight / np.maximum(weight.sum(axis=(1, 2), keepdims=True), 1e-300) / len(weight)
     mean_x = float((share * x).sum())
-    black = _estimate(float(offset.mean()), (share * residual).sum(axis=(0, 2)) - mean_x * by_row)
+    black = _make_estimate(float(offset.mean()), (share * residual).sum(axis=(0, 2)) - mean_x * by_row)
     if expected is not None:
         left = share * (y - x / expected)
         value = float(left.sum())
-        stated = _estimate(value, (left - share * value).sum(axis=(0, 2)))
-        black = min(black, stated, key=lambda one: abs(one.value)) if black.value * value > 0 else Estimate(0.0)
-    return RatioFit(_estimate(slope, by_row), tuple(map(float, offset)), black, _match(slope, x, residual, usable))
+        stated = _make_estimate(value, (left - share * value).sum(axis=(0, 2)))
+        nearer = min(black, stated, key=lambda estimate: abs(estimate.value))
+        black = nearer if black.value * value > 0 else Estimate(0.0)
+    match = _measure_match(slope, x, residual, usable)
+    return RatioFit(_make_estimate(slope, by_row), tuple(map(float, offset)), black, match)
 
 
-def _estimate(value: float, by_row: Array) -> Estimate:
+def _make_estimate(value: float, by_row: Array) -> Estimate:
     """Return an estimate with the error that its rows' shares in it, each a cluster, give."""
     rows = len(by_row)
     return Estimate(value, float(np.sqrt(rows / max(1, rows - 1) * np.sum(by_row**2))))
 
 
-def changed_share(first: Cells, second: Cells, brightness: float, offset_dn: Sequence[float] | None = None) -> float:
+def measure_change(first: Cells, second: Cells, brightness: float, offset_dn: Sequence[float] | None = None) -> float:
     """Return the share of the picture that changed differently from the whole: something moved.
 
     Blocks of 8 x 8 packed pixels whose green changed by more than a twentieth and by more than eight robust standard
@@ -172,28 +174,28 @@ def changed_share(first: Cells, second: Cells, brightness: float, offset_dn: Seq
     if int(usable.sum()) < LEAST_BLOCKS:
         return 0.0
     change = np.where(usable, after / brightness / np.where(usable, before, 1) - 1, 0)
-    level = _levels(before, usable)
-    least = np.maximum(_CHANGE, _CHANGE_SIGMAS * _scatter(change, level, usable)[level])
+    level = _bin_levels(before, usable)
+    least = np.maximum(_CHANGE, _CHANGE_SIGMAS * _measure_scatter(change, level, usable)[level])
     changed = np.abs(change) > least
     beside = np.pad(changed, 1)
     beside = beside[:-2, 1:-1] | beside[2:, 1:-1] | beside[1:-1, :-2] | beside[1:-1, 2:]
     return float(np.mean((changed & beside)[usable]))
 
 
-def _strips(first: Cells, second: Cells) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _pool_strips(first: Cells, second: Cells) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return the strips' means in two frames, and which strips are unclipped in both."""
     x, unclipped_x = first.pooled(*STRIP)
     y, unclipped_y = second.pooled(*STRIP)
     return x.astype(np.float64), y.astype(np.float64), unclipped_x & unclipped_y
 
 
-def _levels(values: Array, usable: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _bin_levels(values: Array, usable: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the level of each strip, of twelve with as many usable strips each."""
     edges = np.quantile(values[usable], np.linspace(0, 1, _LEVELS + 1)[1:-1])
     return np.searchsorted(edges, values)
 
 
-def _line(x: Array, y: Array, weight: Array) -> tuple[float, Array, Array]:
+def _fit_line(x: Array, y: Array, weight: Array) -> tuple[float, Array, Array]:
     """Return slope, offsets of the channels, and x less the channels' weighted means."""
     total = np.maximum(weight.sum(axis=(1, 2)), 1e-300)
     mean_x = (weight * x).sum(axis=(1, 2)) / total
@@ -204,7 +206,7 @@ def _line(x: Array, y: Array, weight: Array) -> tuple[float, Array, Array]:
     return slope, mean_y - slope * mean_x, about_x
 
 
-def _scatter(residual: Array, level: NDArray[np.intp], usable: NDArray[np.bool_]) -> Array:
+def _measure_scatter(residual: Array, level: NDArray[np.intp], usable: NDArray[np.bool_]) -> Array:
     """Return the robust standard deviation of the residuals at each level."""
     whole = TO_SIGMA * float(np.median(np.abs(residual[usable])))
     floor = max(whole / 100, 1e-6)
@@ -216,7 +218,7 @@ def _scatter(residual: Array, level: NDArray[np.intp], usable: NDArray[np.bool_]
     return scatter
 
 
-def _match(slope: float, x: Array, residual: Array, usable: NDArray[np.bool_]) -> Estimate:
+def _measure_match(slope: float, x: Array, residual: Array, usable: NDArray[np.bool_]) -> Estimate:
     """Return the share of the scene's variance that the line explains.
 
     Noise differs from row to row, a scene that is not in the reference does not: of the residuals' variance, what half

@@ -46,7 +46,7 @@ SIGMAS: Final = 5.0
 
 @dataclass(frozen=True, slots=True)
 class MeasureKind:
-    """A kind of measure: what is expected, at which distance to look and to shoot again, and what to do then.
+    """A kind of measure: the expected value, the distances from which to look and to shoot again, and advice.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class Measure:
 
     @property
     def deviation(self) -> float:
-        """Distance from what is expected, in the unit of the value."""
+        """Distance from the expected value, in its unit."""
         return abs(self.value - self.kind.expected)
 
     @property
@@ -190,12 +190,12 @@ class Measure:
         return {
             "name": self.name,
             "path": self.path,
-            "value": _finite(self.value),
-            "standard_error": _finite(self.standard_error),
+            "value": _drop_infinite(self.value),
+            "standard_error": _drop_infinite(self.standard_error),
             "expected": self.kind.expected,
             "unit": self.kind.unit,
-            "look_from": _finite(self.kind.look),
-            "shoot_again_from": _finite(self.kind.again),
+            "look_from": _drop_infinite(self.kind.look),
+            "shoot_again_from": _drop_infinite(self.kind.again),
             "limits_from": self.kind.source,
             "least_standard_errors": self.kind.sigmas,
             "verdict": self.verdict,
@@ -233,7 +233,7 @@ def worst(verdicts: list[Verdict]) -> Verdict:
     return max(verdicts, key=VERDICTS.index, default="keep")
 
 
-def _finite(value: float) -> float | None:
+def _drop_infinite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
@@ -334,13 +334,12 @@ class CheckedGroup:
             ],
         }
 
-    def format_text(self, told: Collection[Measure] = ()) -> str:
-        """Return the verdict and its reasons, but those ``told`` below."""
-        lines = [f"{self.name}: {self.verdict}"]
-        left = [reason for reason in self.reasons if reason not in told]
-        lines += [f"    {reason.verdict}: {reason}" for reason in left]
-        if len(left) < len(self.reasons):
-            lines.append(f"    {len(self.reasons) - len(left)} measures that are off alike in many files: see below")
+    def format_text(self, alike: Collection[Measure] = ()) -> str:
+        """Format the verdict and its reasons; of measures that are off alike in many files, their number."""
+        own = [reason for reason in self.reasons if reason not in alike]
+        lines = [f"{self.name}: {self.verdict}", *(f"    {reason.verdict}: {reason}" for reason in own)]
+        if len(own) < len(self.reasons):
+            lines.append(f"    {len(self.reasons) - len(own)} measures that are off alike in many files: see below")
         return "\n".join(lines)
 
 
@@ -372,13 +371,13 @@ class CheckReport:
         return {"dataset": self.dataset, "ok": self.ok, "groups": [group.as_dict() for group in self.groups]}
 
     def format_text(self) -> str:
-        """Return the report as text: what is not to be kept and why, what is :attr:`alike`, and how many are what."""
-        told = {measure for many in _find_alike(self.groups) for measure in many}
+        """Format the scenes not to be kept and why, the measures that are :attr:`alike`, and the verdicts' counts."""
+        alike = {measure for many in _find_alike(self.groups) for measure in many}
         total = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
         remarks = [remark for group in self.groups for remark in group.remarks if remark.verdict == "keep"]
-        said = distinct((remark.path, (remark.text,)) for remark in remarks)
-        groups = [group.format_text(told) for group in self.groups if group.verdict != "keep"]
-        return "\n".join([*groups, *self.alike, *map(str, said), f"{self.dataset}: {total}"])
+        distinct_remarks = distinct((remark.path, (remark.text,)) for remark in remarks)
+        groups = [group.format_text(alike) for group in self.groups if group.verdict != "keep"]
+        return "\n".join([*groups, *self.alike, *map(str, distinct_remarks), f"{self.dataset}: {total}"])
 
 
 # So many files that are off alike are one finding. What is alike: within 3 % of the nominal ratio, some times what the
@@ -395,18 +394,18 @@ def _find_alike(groups: Iterable[CheckedGroup]) -> list[list[Measure]]:
             groups_alike[measure.name, measure.verdict, measure.kind.advice].append(measure)
     alike = []
     for many in groups_alike.values():
-        middle = median(map(_relative, many))
-        close = [measure for measure in many if abs(_relative(measure) - middle) <= _ALIKE]
+        middle = median(map(_compute_share, many))
+        close = [measure for measure in many if abs(_compute_share(measure) - middle) <= _ALIKE]
         alike += [close] if len(close) >= _MANY else []
     return alike
 
 
-def _relative(measure: Measure) -> float:
+def _compute_share(measure: Measure) -> float:
     return measure.value / measure.kind.expected
 
 
 def _join_alike(many: Sequence[Measure]) -> str:
-    first, shares = many[0], [100 * _relative(measure) for measure in many]
+    first, shares = many[0], [100 * _compute_share(measure) for measure in many]
     return (
         f"{first.verdict}: {len(many)} files alike, such as {in_line(first.path)}: {first.name}: by the pixels it is "
         f"{median(shares):.0f} % of what it should be ({min(shares):.1f} to {max(shares):.1f} %); {first.kind.advice}"

@@ -14,8 +14,8 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
 from capture.camera import ladder
-from capture.check.frames import ReducedFrame, Unit, change_picture, file_name, reduced_frames, scene_picture
-from capture.check.ratio import brightest_level, brightness_ratios, changed_share, fit_ratio
+from capture.check.frames import ReducedFrame, Unit, draw_change, draw_scene, file_name, reduce_frames
+from capture.check.ratio import fit_ratio, measure_brightest, measure_brightness, measure_change
 from capture.check.result import (
     LIGHT_AGAIN,
     LIGHT_LOOK,
@@ -26,8 +26,8 @@ from capture.check.result import (
     Estimate,
     find_kind,
 )
-from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles, shift_length
-from capture.observed import f_text, same_aperture
+from capture.check.shift import cut_moved_tiles, make_tiles, measure_focus, measure_shift, shift_length
+from capture.observed import format_f_number, same_aperture
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.raw.levels import mean_levels, packing_sites, white_remark
 
@@ -48,20 +48,20 @@ def check_scene(unit: Unit) -> CheckedGroup:
     references: dict[str, ReducedFrame] = {}
     apertures: list[tuple[str, Fraction]] = []
     tiles: Tiles | None = None
-    for frame in reduced_frames(unit, group):
+    for frame in reduce_frames(unit, group):
         path = frame.record.path
         _compare_aperture(frame, apertures, group)
         if frame.record.role == "noisy":
             named = frame.record.reference or (unit.records[0].path if len(noisy) < len(unit.records) else "")
             _check_pair(frame, named, references.get(named), noisy, group)
-            group.pictures.append(scene_picture(frame, float(frame.record.ratio or 1)))
+            group.pictures.append(draw_scene(frame, float(frame.record.ratio or 1)))
             continue
         group.measure("clipped", path, Estimate(frame.cells.clipped_share).in_percent())
         if references:
             _compare_references(next(iter(references.values())), tiles, frame, group)
         else:
             tiles = make_tiles(frame.luminance)
-            level = brightest_level(frame.cells)
+            level = measure_brightest(frame.cells)
             if level is None:
                 group.remark(path, "is too small to tell how bright it is")
             else:
@@ -71,8 +71,8 @@ def check_scene(unit: Unit) -> CheckedGroup:
         first, *later = references.values()
         shown = [frame for frame in later if frame is later[-1] or group.verdict_of(frame.record.path) != "keep"]
         group.pictures[:0] = [
-            *(scene_picture(frame, 1.0) for frame in (first, *later[-1:])),
-            *(change_picture(first, replace(frame, cells=frame.scale_cells_to(first.sensor))) for frame in shown),
+            *(draw_scene(frame, 1.0) for frame in (first, *later[-1:])),
+            *(draw_change(first, replace(frame, cells=frame.scale_cells_to(first.sensor))) for frame in shown),
         ]
         if not later:
             text = "is the only reference: whether the light changed or the camera moved cannot be told"
@@ -88,11 +88,11 @@ def _compare_aperture(frame: ReducedFrame, known: list[tuple[str, Fraction]], gr
     known.append((path, f_number))
     first, expected = known[0]
     if not same_aperture(f_number, expected):
-        text = (
-            f"EXIF states {f_text(f_number)}, expected {f_text(expected)} as in {file_name(first)}: the exposure ratio "
-            "is computed from ISO and time alone; keep the aperture fixed"
+        states = (
+            f"EXIF states {format_f_number(f_number)}, expected {format_f_number(expected)} as in {file_name(first)}"
         )
-        group.remark(path, text, "shoot again")
+        advice = "the exposure ratio is computed from ISO and time alone; keep the aperture fixed"
+        group.remark(path, f"{states} as in {file_name(first)}: {advice}", "shoot again")
 
 
 # --- references ---------------------------------------------------------------------------------------------------
@@ -103,30 +103,26 @@ def _compare_references(first: ReducedFrame, tiles: Tiles | None, frame: Reduced
     frame = replace(frame, cells=frame.scale_cells_to(first.sensor))
     path, against = frame.record.path, file_name(first.record.path)
     brightness = _measure_light(first, frame, against, group)
-    cut = None if tiles is None else moved_tiles(tiles, frame.luminance)
+    cut = None if tiles is None else cut_moved_tiles(tiles, frame.luminance)
     shift = None if cut is None else measure_shift(cut[0], cut[1])
     if cut is None or shift is None:
         text = "has too little detail to tell whether the camera moved: put something with edges into the scene"
         group.remark(path, text)
         return
-    if (
-        group.measure(
-            "shift", path, shift_length(shift, cut[2], packing_sites(frame.sensor.cfa).scale), against=against
-        ).verdict
-        != "keep"
-    ):
-        return  # what is measured pixel by pixel would show the shift again
+    length = shift_length(shift, cut[2], packing_sites(frame.sensor.cfa).scale)
+    if group.measure("shift", path, length, against=against).verdict != "keep":
+        return  # measures pixel by pixel would show the shift again
     focus = measure_focus(cut[0], cut[1], shift, brightness)
     # Out of focus, edges differ everywhere.
     if focus is None or group.measure("focus", path, focus.in_percent(1), against=against).verdict == "keep":
-        changed = changed_share(first.cells, frame.cells, brightness)
+        changed = measure_change(first.cells, frame.cells, brightness)
         # Without an error: only what exceeds eight of them is counted.
         group.measure("movement", path, Estimate(changed).in_percent(), against=f"since {against}")
 
 
 def _measure_light(first: ReducedFrame, frame: ReducedFrame, against: str, group: CheckedGroup) -> float:
     """Measure the change of brightness; return its mean over the channels that tell it."""
-    path, ratios = frame.record.path, brightness_ratios(first.cells, frame.cells)
+    path, ratios = frame.record.path, measure_brightness(first.cells, frame.cells)
     known = [(colour, ratio) for colour, ratio in zip(first.cells.colours, ratios, strict=True) if ratio is not None]
     if not known:
         group.remark(path, f"too little is well exposed to compare it with {against}")
@@ -157,7 +153,7 @@ def _check_pair(
     if remark is not None:
         group.remark(path, remark, "keep")
     cells = frame.scale_cells_to(reference.sensor)
-    exif_ratio = _exif_ratio(reference.exposure, frame.exposure)
+    exif_ratio = _compute_exif_ratio(reference.exposure, frame.exposure)
     nominal = record.ratio
     expected = nominal or exif_ratio
     fit = fit_ratio(reference.cells, cells, None if expected is None else float(expected))
@@ -177,14 +173,14 @@ def _check_pair(
             group.measure("signal", path, signal, ratio=_number(expected))
         return
     if nominal is not None:
-        advice = _ratio_advice(record, ratio, exif_ratio, noisy)
-        kind = _ratio_kind("ratio", nominal, RATIO_LOOK, RATIO_AGAIN, advice)
+        advice = _choose_advice(record, ratio, exif_ratio, noisy)
+        kind = _make_ratio_kind("ratio", nominal, RATIO_LOOK, RATIO_AGAIN, advice)
         group.measure(kind, path, ratio, against=against, ratio=_number(nominal))
     if exif_ratio is not None:
         again, advice = _judge_exif(record, ratio, _list_dial_ratios(reference.exposure, frame.exposure))
-        kind = _ratio_kind("EXIF ratio", exif_ratio, LIGHT_LOOK, again, advice)
+        kind = _make_ratio_kind("EXIF ratio", exif_ratio, LIGHT_LOOK, again, advice)
         group.measure(kind, path, ratio, against=against, ratio=_number(exif_ratio))
-    changed = changed_share(reference.cells, cells, fit.slope.value, fit.offset_dn)
+    changed = measure_change(reference.cells, cells, fit.slope.value, fit.offset_dn)
     # Without an error: only what exceeds eight of them is counted.
     group.measure("movement", path, Estimate(changed).in_percent(), against=f"to {against}")
 
@@ -206,7 +202,7 @@ def _measure_black(
 # --- ratios -------------------------------------------------------------------------------------------------------
 
 
-def _exif_ratio(reference: Exposure, noisy: Exposure) -> Fraction | None:
+def _compute_exif_ratio(reference: Exposure, noisy: Exposure) -> Fraction | None:
     if not (reference.iso and reference.exposure_s and noisy.iso and noisy.exposure_s):
         return None
     return reference.iso * reference.exposure_s / (noisy.iso * noisy.exposure_s)
@@ -222,7 +218,7 @@ def _list_dial_ratios(reference: Exposure, noisy: Exposure) -> list[float]:
     return ratios
 
 
-def _ratio_kind(name: str, expected: Fraction, look: float, again: float, advice: str) -> MeasureKind:
+def _make_ratio_kind(name: str, expected: Fraction, look: float, again: float, advice: str) -> MeasureKind:
     """Return a kind of ratio with its limits, given as shares of the expected one."""
     value = float(expected)
     return replace(find_kind(name), look=look * value, again=again * value, advice=advice, expected=value)
@@ -235,15 +231,13 @@ def _judge_exif(record: FrameRecord, ratio: Estimate, dial_ratios: list[float]) 
         return math.inf, advice
     nearest = min(dial_ratios, key=lambda dial: abs(ratio.value - dial), default=math.inf)
     if abs(ratio.value - nearest) <= max(LIGHT_LOOK * nearest, SIGMAS * ratio.standard_error) < math.inf:
-        return (
-            math.inf,
-            "EXIF has the rounded names of the shutter's times: scores of rescaled predictions do not change",
-        )
+        advice = "EXIF has the rounded names of the shutter's times: scores of rescaled predictions do not change"
+        return math.inf, advice
     return LIGHT_AGAIN, find_kind("EXIF ratio").advice
 
 
-def _ratio_advice(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction | None, noisy: list[FrameRecord]) -> str:
-    """Say what may have happened to a frame whose ratio is not the nominal one."""
+def _choose_advice(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction | None, noisy: list[FrameRecord]) -> str:
+    """Explain a frame whose ratio is not the nominal one."""
     cause = "EXIF does not show it"
     if exif_ratio is not None and _fits(ratio, exif_ratio):
         cause = "EXIF says the same: taken with another setting, or under another frame's name"

@@ -95,7 +95,7 @@ def _cut_tiles(image: NDArray[np.float32], starts: NDArray[np.intp], side: int) 
     return spectra
 
 
-def moved_tiles(first: Tiles, image: NDArray[np.float32]) -> tuple[Tiles, Tiles, tuple[int, int]] | None:
+def cut_moved_tiles(first: Tiles, image: NDArray[np.float32]) -> tuple[Tiles, Tiles, tuple[int, int]] | None:
     """Return the tiles of two frames that show the same part of the scene, and the whole pixels between them.
 
     The window stays where it is when the scene moves, which pulls a shift towards 0 by some percent. So the second
@@ -177,10 +177,10 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
     regular &= gain > 0
     information = np.where(regular, np.stack([xx, yy]), 1) / np.where(regular, determinant, 1)
     errors = np.where(regular, np.sqrt(noise / np.where(regular, gain, 1) * information), np.inf)
-    return _combined(np.stack([down, right]), errors)
+    return _combine_tiles(np.stack([down, right]), errors)
 
 
-def _combined(values: NDArray[np.float64], errors: NDArray[np.float64]) -> Shift | None:
+def _combine_tiles(values: NDArray[np.float64], errors: NDArray[np.float64]) -> Shift | None:
     """Combine the tiles' shifts into the frame's: the weighted mean of the tiles that agree with the median."""
     certain = np.all(np.isfinite(errors) & (errors > 0) & (errors < _WORST_ERROR), axis=0)
     if not certain.any():
@@ -208,7 +208,7 @@ def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) 
 
 
 def measure_focus(first: Tiles, second: Tiles, shift: Shift, brightness: float) -> Estimate | None:
-    """Return the contrast of fine detail of the second frame over that of the first.
+    """Measure the second frame's contrast of fine detail over the first's.
 
     Parameters
     ----------

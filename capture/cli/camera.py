@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
         text = f"{arguments.example}: the {EXAMPLE.name}'s; change it to your camera's, then: capture camera FILE"
     else:
         camera = CameraDescription.load(arguments.camera)
-        text = _text(camera)
+        text = _format_camera(camera)
     times = [
         {"dial": time.dial, "nominal_s": str(time.nominal_s), "true_s": time.true_s} for time in camera.shutter.times
     ]
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     return OK
 
 
-def _text(camera: CameraDescription) -> str:
+def _format_camera(camera: CameraDescription) -> str:
     from eldata.base.tables import text_table
 
     rows = [(f"{time.dial} s", f"{time.true_s:.6g} s") for time in camera.shutter.times]

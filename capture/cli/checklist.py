@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from capture.plan import Plan
 
-    form = _format(arguments)
+    form = _choose_format(arguments)
     plan = Plan.load(arguments.plan)
     text = FORMATS[form](plan)
     if arguments.output is not None:
@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     return OK
 
 
-def _format(arguments: argparse.Namespace) -> str:
+def _choose_format(arguments: argparse.Namespace) -> str:
     output = arguments.output
     if output is None:
         if arguments.format == "html":

@@ -44,7 +44,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--output",
         beside=[".json"],
         makes_folder=True,
-        type=_table_name,
+        type=_read_table_name,
         required=True,
         help="the manifest, such as manifests/mine.csv",
     )
@@ -63,7 +63,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, run, "jobs", json=True)
 
 
-def _table_name(text: str) -> str:
+def _read_table_name(text: str) -> str:
     if not text.endswith(".csv"):
         raise argparse.ArgumentTypeError(f"expected a name that ends in .csv, found {text!r}")
     return text
@@ -73,13 +73,13 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from capture.mapping import compare_apertures, explain_metering, load_mapping, mapping_as_dict
     from capture.matching import match
-    from capture.observed import observe, raw_files
+    from capture.observed import find_raw_files, observe
 
     output, place = Path(arguments.output), arguments.copy_to or arguments.link_to
     plan = load_plan(arguments)
     existing = _load_existing(arguments)
     lacking = plan if existing is None else existing.lacking(plan)
-    files = raw_files(arguments.files, plan.camera.raw_extension, outside=None if place is None else Path(place))
+    files = find_raw_files(arguments.files, plan.camera.raw_extension, outside=None if place is None else Path(place))
     workers = Workers(arguments.jobs)
     observed = observe(files, plan.camera.models, workers)
     if existing is not None:
@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _leave_mapping(output, mapping_as_dict(part, observed, matched), accepting)
     if matched.doubtful and arguments.mapping is None and not arguments.yes and not _confirm():
         return _leave_mapping(output, mapping_as_dict(part, observed, matched), "--yes")
-    _write(plan, matched, existing, arguments, workers)
+    _write_set(plan, matched, existing, arguments, workers)
     return OK
 
 
@@ -163,7 +163,7 @@ def _leave_mapping(output: Path, mapping: dict[str, Any], accepting: str) -> int
     return PROBLEMS
 
 
-def _write(
+def _write_set(
     plan: Plan, matched: Match, existing: ExistingSet | None, arguments: argparse.Namespace, workers: Workers
 ) -> None:
     from capture.manifest import make_card, make_dataset, place_files

@@ -43,9 +43,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PLAN", nargs="?", help="a plan to show or to change in place")
     add = parser.add_argument_group("a new plan").add_argument
     add("--camera", metavar="FILE", help="camera description; capture camera --example writes one")
-    add("--scenes", type=scene_numbers, metavar="N", help="number of scenes, or the first and the last, as 11-15")
+    add("--scenes", type=read_scene_numbers, metavar="N", help="number of scenes, or the first and the last, as 11-15")
     times = "time that exposes every scene well at the base ISO, as 4, 5/2 or 2.5; that of one scene, as scene-3=2"
-    add("--metered", type=scene_time, nargs="+", action="extend", metavar="SECONDS", help=times)
+    add("--metered", type=read_scene_time, nargs="+", action="extend", metavar="SECONDS", help=times)
     frames = "frames of a scene: the released set's (default), or the paper's, without the factors 1 and 10"
     add("--protocol", choices=tuple(PROTOCOLS), help=frames)
     add("--isos", type=whole, nargs="+", metavar="ISO", help="other ISOs of the noisy frames")
@@ -55,15 +55,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--references", type=whole, metavar="N", help=references)
     change = partial(parser.add_argument_group("changes; may be repeated").add_argument, action="append", default=[])
     remeter = "compute a scene's shots from another metered time, as scene-2=2"
-    change("--remeter", type=one_scene_time, metavar="SCENE=SECONDS", help=remeter)
-    change("--add-scene", type=one_scene_time, metavar="SCENE=SECONDS", help="one more scene, as scene-11=4")
+    change("--remeter", type=read_one_scene_time, metavar="SCENE=SECONDS", help=remeter)
+    change("--add-scene", type=read_one_scene_time, metavar="SCENE=SECONDS", help="one more scene, as scene-11=4")
     change("--note", metavar="SCENE=TEXT", help="a note on a scene, as scene-2=bookshelf")
     f_number = "f-number of every scene, as 8, or of one, as scene-3=5.6; the files' is compared with it"
-    change("--aperture", type=aperture, metavar="F", help=f_number)
+    change("--aperture", type=read_aperture, metavar="F", help=f_number)
     add = parser.add_argument_group("calibration frames, in a new plan or an older one").add_argument
     add("--calibration", action="store_true", help="plan bias frames and flats too; needs --flat-clips-at")
     clips_at = "time at the base ISO from which the evenly lit surface is overexposed in raw"
-    add("--flat-clips-at", type=seconds, metavar="SECONDS", help=clips_at)
+    add("--flat-clips-at", type=read_seconds, metavar="SECONDS", help=clips_at)
     isos = "ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)"
     add("--calibration-isos", type=whole, nargs="+", metavar="ISO", help=isos)
     add("--bias-frames", type=whole, metavar="N", help="bias frames per ISO (default: 10)")
@@ -72,7 +72,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, run, json=True)
 
 
-def seconds(text: str) -> Fraction:
+def read_seconds(text: str) -> Fraction:
     """Read seconds above 0, exactly."""
     try:
         return parse_seconds(text)
@@ -80,20 +80,20 @@ def seconds(text: str) -> Fraction:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def scene_time(text: str) -> tuple[str | None, Fraction]:
+def read_scene_time(text: str) -> tuple[str | None, Fraction]:
     """Read seconds for every scene (``None``) or, as ``scene-3=1/4``, for one."""
-    return (None, seconds(text)) if "=" not in text else one_scene_time(text)
+    return (None, read_seconds(text)) if "=" not in text else read_one_scene_time(text)
 
 
-def one_scene_time(text: str) -> tuple[str, Fraction]:
+def read_one_scene_time(text: str) -> tuple[str, Fraction]:
     """Read the seconds of one scene, as ``scene-3=1/4``."""
     name, _, time = text.rpartition("=")
     if not name:
         raise argparse.ArgumentTypeError(f"expected a scene and its metered time, such as scene-2=1/4; found {text!r}")
-    return name, seconds(time)
+    return name, read_seconds(time)
 
 
-def aperture(text: str) -> tuple[str | None, Fraction]:
+def read_aperture(text: str) -> tuple[str | None, Fraction]:
     """Read the f-number for every scene (``None``) or, as ``scene-3=5.6``, for one."""
     name, equals, number = text.rpartition("=")
     try:
@@ -106,7 +106,7 @@ def aperture(text: str) -> tuple[str | None, Fraction]:
     return name or None, f_number
 
 
-def scene_numbers(text: str) -> range:
+def read_scene_numbers(text: str) -> range:
     """Read the scenes that a text such as ``10``, the first ten, or ``11-15`` names."""
     first, dash, last = text.rpartition("-")
     whole = whole_number(0)
@@ -123,13 +123,13 @@ def run(arguments: argparse.Namespace) -> int:
     from capture.plan import Plan
 
     if arguments.plan is None:
-        plan = before = _make(arguments)
+        plan = before = _make_plan(arguments)
     else:
         new_only = [name for name in _CREATING if getattr(arguments, name) is not None]
         if new_only:
             raise ArgumentError(f"--{new_only[0]} is for a new plan; {arguments.plan} has its own: leave one out")
         before = plan = Plan.load(arguments.plan)
-    plan = _change(plan, arguments)
+    plan = _change_plan(plan, arguments)
     target: str = arguments.output or (arguments.plan if plan != before else "")
 
     def write_plan() -> None:
@@ -140,7 +140,7 @@ def run(arguments: argparse.Namespace) -> int:
     return OK
 
 
-def _make(arguments: argparse.Namespace) -> Plan:
+def _make_plan(arguments: argparse.Namespace) -> Plan:
     from capture.camera import CameraDescription
     from capture.plan import make_plan
 
@@ -155,10 +155,10 @@ def _make(arguments: argparse.Namespace) -> Plan:
         arguments.repeats or 1,
         arguments.references or 1,
     )
-    return make_plan(camera, protocol, _metered_times(arguments), _plan_calibration(camera, protocol, arguments))
+    return make_plan(camera, protocol, _read_metered_times(arguments), _plan_calibration(camera, protocol, arguments))
 
 
-def _metered_times(arguments: argparse.Namespace) -> dict[str, Fraction]:
+def _read_metered_times(arguments: argparse.Namespace) -> dict[str, Fraction]:
     if arguments.scenes is None and arguments.calibration and not arguments.metered:
         return {}  # calibration frames alone
     if arguments.scenes is None:
@@ -181,7 +181,7 @@ def _plan_calibration(
     camera: CameraDescription, protocol: CaptureProtocol, arguments: argparse.Namespace
 ) -> CalibrationPlan | None:
     """Plan the calibration frames that are asked for."""
-    from capture.shots import BIAS_FRAMES, default_isos, plan_calibration
+    from capture.shots import BIAS_FRAMES, choose_isos, plan_calibration
 
     if not arguments.calibration:
         for name in ("flat_clips_at", "calibration_isos", "bias_frames", "warm"):
@@ -196,14 +196,14 @@ def _plan_calibration(
     return plan_calibration(
         camera,
         protocol.base_iso,
-        tuple(sorted(arguments.calibration_isos or default_isos(camera, protocol))),
+        tuple(sorted(arguments.calibration_isos or choose_isos(camera, protocol))),
         arguments.flat_clips_at,
         bias_frames=arguments.bias_frames or BIAS_FRAMES,
         warm=arguments.warm,
     )
 
 
-def _change(plan: Plan, arguments: argparse.Namespace) -> Plan:
+def _change_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
     for name, time in arguments.add_scene:
         plan = plan.add_scene(name, time)
     for name, time in arguments.remeter:
@@ -228,14 +228,14 @@ def _change(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 def format_plan(plan: Plan) -> str:
     """Format a plan: a table for the scenes of each metered time, and one for the calibration frames."""
-    from capture.observed import f_text
+    from capture.observed import format_f_number
     from capture.shots import describe_duration
 
     protocol = plan.protocol
     parts = [f"{plan.camera.name}: {len(plan.shots)} shots; {protocol}"]
     for time, f_number in dict.fromkeys((scene.metered_s, scene.aperture) for scene in plan.scenes):
         scenes = [scene for scene in plan.scenes if (scene.metered_s, scene.aperture) == (time, f_number)]
-        at = "" if f_number is None else f", {f_text(f_number)}"
+        at = "" if f_number is None else f", {format_f_number(f_number)}"
         names = [scene.name for scene in scenes]
         title = f"{', '.join(names)}: metered at {time} s{at}"
         notes = [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]

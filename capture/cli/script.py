@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from capture.checklist import TEMPLATES, ChecklistRow, calibration_parts
 from capture.cli.values import add_plan, load_plan
-from capture.observed import f_text
+from capture.observed import format_f_number
 from capture.plan import CALIBRATION
 from capture.shots import format_minutes, sum_duration_s
 from eldata.base.console import OK, add_output, add_shared
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_text(path, gphoto_script(plan, Path(arguments.plan).name))
     mode = path.stat().st_mode
     path.chmod(mode | (mode & 0o444) >> 2)  # whoever may read it may run it
-    print(f"{path}: {len(plan.shots)} frames, about {script_minutes(plan)}; read it before you run it")
+    print(f"{path}: {len(plan.shots)} frames, about {format_script_duration(plan)}; read it before you run it")
     return OK
 
 
@@ -66,7 +66,7 @@ def gphoto_script(plan: Plan, title: str) -> str:
     times = sorted({shot.setting for shot in shots}, key=lambda time: time.true_s)
     head = (
         f"{title}: {plan.extent}, {len(shots)} frames with {plan.camera.name} ({', '.join(plan.camera.models)}), "
-        f"about {script_minutes(plan)} of exposures and downloads."
+        f"about {format_script_duration(plan)} of exposures and downloads."
     )
     lines = [
         "#!/bin/sh",
@@ -74,37 +74,37 @@ def gphoto_script(plan: Plan, title: str) -> str:
         "# Written by capture script, and never tried with a real camera: read it before you run it.",
         (TEMPLATES / "gphoto2.sh").read_text(encoding="utf-8"),
         shlex.join(["offers", "iso", *map(str, sorted({shot.iso for shot in shots}))]),
-        shlex.join(["offers", "shutterspeed", *dict.fromkeys(_time_words(time)[0] for time in times)]),
+        shlex.join(["offers", "shutterspeed", *dict.fromkeys(_split_time(time)[0] for time in times)]),
     ]
     for scene in plan.scenes:
-        lines += _part(scene.name, scene.name, _scene_words(plan, scene), scene.shots)
+        lines += _write_part(scene.name, scene.name, _list_scene_words(plan, scene), scene.shots)
     for part in calibration_parts(plan):
-        lines += _part(CALIBRATION, part.title, (item["text"] for item in part.items), part.shots)
+        lines += _write_part(CALIBRATION, part.title, (item["text"] for item in part.items), part.shots)
     return "\n".join(lines) + "\n"
 
 
-def script_minutes(plan: Plan) -> str:
+def format_script_duration(plan: Plan) -> str:
     """Write how long the exposures and downloads take."""
     return format_minutes(sum_duration_s([shot for _, shot in plan.shots], dial_s=0))
 
 
-def _time_words(time: ShutterTime) -> list[str]:
+def _split_time(time: ShutterTime) -> list[str]:
     """Return the words that gphoto2 sets: the time's name, or ``Bulb`` and its seconds."""
     return time.dial.replace("bulb", "Bulb").split()
 
 
-def _scene_words(plan: Plan, scene: ScenePlan) -> Iterator[str]:
+def _list_scene_words(plan: Plan, scene: ScenePlan) -> Iterator[str]:
     yield f"Metered at {scene.metered_s} s, ISO {plan.protocol.base_iso}"
     if scene.aperture is not None:
-        yield f"Aperture {f_text(scene.aperture)}"
+        yield f"Aperture {format_f_number(scene.aperture)}"
     yield from scene.remarks
     yield from scene.notes
 
 
-def _part(folder: str, title: str, words: Iterable[str], shots: Sequence[Shot]) -> Iterator[str]:
+def _write_part(folder: str, title: str, words: Iterable[str], shots: Sequence[Shot]) -> Iterator[str]:
     """Yield the lines of shots that are taken after one preparation."""
     yield f"\n# {title}: {len(shots)} frames"
     yield f"prepare {shlex.quote(_NEXT_LINE.join([title, *(one_line(text) for text in words if text)]))}"
     for shot in shots:
-        command = ["shot", f"{folder}/IMG_{shot.number:04d}", str(shot.iso), *_time_words(shot.setting)]
+        command = ["shot", f"{folder}/IMG_{shot.number:04d}", str(shot.iso), *_split_time(shot.setting)]
         yield f"{shlex.join(command)}  # {ChecklistRow(shot, 1).what}"

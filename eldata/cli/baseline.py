@@ -32,18 +32,10 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument("--profile", action="append", default=[], dest="profiles", metavar="P", help=text)
     text = "with bm3d and no profile: one noise level per frame, by the paper's estimator"
     parser.add_argument("--noise", choices=("chen2015",), help=text)
-    add_another_camera(parser, "frames of cameras that have none of their own")
+    text = "take the profile for frames of cameras that have none of their own; what is written says so"
+    parser.add_argument("--profile-of-another-camera", action="store_true", help=text)
     kept = "{output} keeps the finished predictions, and the same command goes on"
     console.add_shared(parser, run, "root", "workers", interrupted=kept)
-
-
-def add_another_camera(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add ``--profile-of-another-camera``, without which a profile is for frames of its own camera alone."""
-    parser.add_argument(
-        "--profile-of-another-camera",
-        action="store_true",
-        help=f"take the profile for {what}, whose noise is another; what is written says so",
-    )
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:
@@ -56,18 +48,7 @@ def add_set(parser: argparse.ArgumentParser) -> None:
 def add_pairs(parser: argparse.ArgumentParser) -> None:
     """Add which of a set's pairs or clips."""
     parser.add_argument("--subset", metavar="NAME", help="subset on the set's card (default: the first)")
-    add_clips(parser)
-
-
-def add_clips(parser: argparse.ArgumentParser) -> None:
-    """Add which of a set's clips."""
     parser.add_argument("--clip", action="append", dest="ids", metavar="ID", help="only this clip; may be repeated")
-
-
-def add_excluded(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Add which pairs are left out; ``more`` goes on after what it does."""
-    text = f"leave out pairs with this flag{more}"
-    parser.add_argument("--exclude", action="append", default=[], dest="exclude_flags", metavar="FLAG", help=text)
 
 
 def add_choice(parser: argparse.ArgumentParser) -> None:
@@ -108,15 +89,15 @@ def show_report(report: PredictionReport, arguments: console.Arguments) -> int:
     """Show what was predicted, and the command that scores it if there is anything; return the exit code."""
     print(report.format_text())
     if report.written or report.kept:
-        print(_scoring_line(arguments))
+        print(_make_scoring_line(arguments))
     return console.PROBLEMS if report.problems else console.OK
 
 
-def _scoring_line(arguments: console.Arguments) -> str:
+def _make_scoring_line(arguments: console.Arguments) -> str:
     """Make the command that scores what was written."""
-    given = ("dataset", "manifest", "protocol", "subset", "root", "dark_shading")
+    names = ("dataset", "manifest", "protocol", "subset", "root", "dark_shading")
     options = [
-        f"--{name.replace('_', '-')} {shlex.quote(value)}" for name in given if (value := getattr(arguments, name))
+        f"--{name.replace('_', '-')} {shlex.quote(value)}" for name in names if (value := getattr(arguments, name))
     ]
     cameras = [f"--camera {shlex.quote(camera)}" for camera in arguments.cameras or ()]
     clips = [f"--clip {shlex.quote(clip)}" for clip in arguments.ids or ()]

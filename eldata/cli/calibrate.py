@@ -40,25 +40,25 @@ def add_options(parser: console.Parser) -> None:
     add_output(parser, "--dark-shading", help=text)
     text = "K in DN per photoelectron at an ISO without flats, or a profile of the camera; may be repeated"
     parser.add_argument(
-        "--gain", action="append", dest="gains", default=[], type=_stated_gain, metavar="ISO=K", help=text
+        "--gain", action="append", dest="gains", default=[], type=_read_gain, metavar="ISO=K", help=text
     )
     text = (
         "ISO from which the camera switches its conversion gain; may be repeated; none: it does not switch (default: "
         "one line for all, and a step over the ISOs is remarked)"
     )
-    parser.add_argument("--mode", action="append", dest="modes", type=_stated_mode, metavar="ISO", help=text)
+    parser.add_argument("--mode", action="append", dest="modes", type=_read_mode, metavar="ISO", help=text)
     text = "keep a figure that this check withholds, with a larger error, and say so in the profile; may be repeated"
     parser.add_argument("--accept", action="append", default=[], metavar="CHECK", help=text)
     text = "rows and columns to use, as numpy slices them: 8:-8,16: (default: all but a border without picture)"
-    parser.add_argument("--crop", type=_stated_crop, metavar="ROWS,COLUMNS", help=text)
+    parser.add_argument("--crop", type=_read_crop, metavar="ROWS,COLUMNS", help=text)
     parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only camera there)")
     whole, text = console.whole_number(1), "only this ISO; may be repeated"
     parser.add_argument("--iso", action="append", dest="isos", type=whole, metavar="ISO", help=text)
     console.add_shared(parser, run, "root", "workers", json=True)
 
 
-def _stated_gain(text: str) -> tuple[int, float] | str:
-    """Return ISO and K, or what names a profile."""
+def _read_gain(text: str) -> tuple[int, float] | str:
+    """Read ISO and K, or the name of a profile."""
     iso, equals, gain = text.partition("=")
     if not (equals and iso.isdecimal()):
         return text
@@ -68,18 +68,16 @@ def _stated_gain(text: str) -> tuple[int, float] | str:
         raise ArgumentTypeError(f"{error}, in {text!r}") from None
 
 
-def _stated_crop(text: str) -> tuple[slice, slice]:
-    parts = [part.split(":") for part in text.replace("−", "-").split(",")]  # as pages print a minus
-    if [len(part) for part in parts] != [2, 2]:
-        raise ArgumentTypeError(f"expected rows and columns such as 8:-8,16:, found {text!r}")
+def _read_crop(text: str) -> tuple[slice, slice]:
     try:
-        rows, columns = (slice(*(int(end) if end.strip() else None for end in part)) for part in parts)
+        parts = (part.split(":") for part in text.replace("−", "-").split(","))  # as pages print a minus
+        rows, columns = (slice(*(int(end) if end.strip() else None for end in (start, stop))) for start, stop in parts)
     except ValueError:
         raise ArgumentTypeError(f"expected rows and columns such as 8:-8,16:, found {text!r}") from None
     return rows, columns
 
 
-def _stated_mode(text: str) -> int | None:
+def _read_mode(text: str) -> int | None:
     return None if text == "none" else console.whole_number(1)(text)
 
 
@@ -93,46 +91,46 @@ def run(arguments: console.Arguments) -> int:
     from eldata.calibration.shading_fit import dark_shading
     from eldata.noise.profile import CameraProfile
 
-    frames = _frames(arguments)
-    modes = _modes(arguments.modes)
+    frames = _find_frames(arguments)
+    modes = _check_modes(arguments.modes)
     gains: dict[float, float] = {}
     for profile in (name for name in arguments.gains if isinstance(name, str)):
         gains |= stated_gains(frames, CameraProfile.load(profile))
     gains |= dict(stated for stated in arguments.gains if not isinstance(stated, str))
     try:
         with console.chosen_workers(arguments) as workers:
-            found = calibrate(
+            calibration = calibrate(
                 frames, gains=gains, modes=modes, accept=arguments.accept, crop=arguments.crop, workers=workers
             )
             shading, no_shading = None, ""
             try:
                 if arguments.dark_shading:
-                    shading = dark_shading(frames, found, modes=modes, workers=workers)
+                    shading = dark_shading(frames, calibration, modes=modes, workers=workers)
             except DatasetError as error:  # the calibration is not lost for it
                 no_shading = str(error)
     except FramesError as error:
         problems = error.problems
-        data = {"camera": frames.camera, "problems": [asdict(one) for one in problems]}
+        data = {"camera": frames.camera, "problems": [asdict(problem) for problem in problems]}
         console.show_and_write(
-            arguments, lambda: _listed_problems(frames.camera, problems, "nothing was written"), lambda: data
+            arguments, lambda: _format_problems(frames.camera, problems, "nothing was written"), lambda: data
         )
         return console.PROBLEMS
 
-    def told() -> str:
-        parts = [f"{found.camera}: {found.source}", found.format_text()]
+    def format_all() -> str:
+        parts = [f"{calibration.camera}: {calibration.source}", calibration.format_text()]
         if frames.skipped:
             left = in_line(frames.skipped[0])
             parts.append(f"left alone, not raw: {counted(len(frames.skipped), 'file')}, such as {left}")
-        if found.problems:
-            out = f"left out: ISO {_listed(one.iso for one in found.failed)}"
-            parts.append(_listed_problems(found.camera, found.problems, out))
+        if calibration.problems:
+            out = f"left out: ISO {_join_isos(iso.iso for iso in calibration.failed)}"
+            parts.append(_format_problems(calibration.camera, calibration.problems, out))
         return "\n\n".join(parts)
 
     def write_profile() -> None:
-        if found.made_profile is None:
-            print(f"\n{arguments.output} was not written: {found.no_profile}")
+        if calibration.made_profile is None:
+            print(f"\n{arguments.output} was not written: {calibration.no_profile}")
             return
-        found.made_profile.save(arguments.output)
+        calibration.made_profile.save(arguments.output)
         print(f"\nprofile: {arguments.output}; look at it with eldata profile show {shlex.quote(arguments.output)}")
 
     def write_shading() -> None:
@@ -140,8 +138,8 @@ def run(arguments: console.Arguments) -> int:
             print(f"\n{arguments.dark_shading} was not written: {no_shading}")
             return
         shading.save(arguments.dark_shading)
-        listed, hot = _listed(one.iso for one in shading.isos), int(shading.hot.sum())
-        print(f"\ndark shading: {arguments.dark_shading}; ISO {listed}; {counted(hot, 'hot pixel')} left as measured")
+        isos, hot = _join_isos(iso.iso for iso in shading.isos), int(shading.hot.sum())
+        print(f"\ndark shading: {arguments.dark_shading}; ISO {isos}; {counted(hot, 'hot pixel')} left as measured")
         print(f"    {shading.digest}")
         for note in shading.notes:
             print(f"    {note}")
@@ -149,22 +147,22 @@ def run(arguments: console.Arguments) -> int:
     def write_page() -> None:
         from eldata.reports.calibration import calibration_page
 
-        write_text(arguments.html, calibration_page(found))
+        write_text(arguments.html, calibration_page(calibration))
         print(f"\nreport: {arguments.html}")
 
     def data_of_all() -> dict[str, object]:
         of_shading = {"dark_shading": None if shading is None else shading.summary()}
-        return found.as_dict() | (of_shading if arguments.dark_shading else {})
+        return calibration.as_dict() | (of_shading if arguments.dark_shading else {})
 
     more = arguments.output and write_profile, arguments.dark_shading and write_shading, arguments.html and write_page
-    console.show_and_write(arguments, told, data_of_all, *more)
-    lacking = arguments.output and found.made_profile is None
-    lacking = lacking or (arguments.dark_shading and shading is None)
-    return console.PROBLEMS if lacking or found.problems or any(one.withheld for one in found.all_isos) else console.OK
+    console.show_and_write(arguments, format_all, data_of_all, *more)
+    lacking = arguments.output and calibration.made_profile is None
+    lacking = lacking or (arguments.dark_shading and shading is None) or calibration.problems
+    return console.PROBLEMS if lacking or any(iso.withheld for iso in calibration.all_isos) else console.OK
 
 
-def _frames(arguments: console.Arguments) -> CalibrationFrames:
-    """Return the frames of a manifest, or of a folder."""
+def _find_frames(arguments: console.Arguments) -> CalibrationFrames:
+    """Find the frames of a manifest, or of a folder."""
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.manifest.catalogue import find_manifests, is_manifest
 
@@ -177,8 +175,8 @@ def _frames(arguments: console.Arguments) -> CalibrationFrames:
     return CalibrationFrames(arguments.frames, arguments.camera, isos=arguments.isos)
 
 
-def _modes(stated: Sequence[int | None] | None) -> list[int] | None:
-    """Return the ISOs from which modes begin, none of a camera that does not switch; ``None``: to be found."""
+def _check_modes(stated: Sequence[int | None] | None) -> list[int] | None:
+    """List the ISOs from which modes begin, none of a camera that does not switch; ``None``: to be found."""
     if stated is None:
         return None
     if None in stated and len(stated) > 1:
@@ -186,10 +184,10 @@ def _modes(stated: Sequence[int | None] | None) -> list[int] | None:
     return [iso for iso in stated if iso is not None]
 
 
-def _listed(isos: Iterable[float]) -> str:
+def _join_isos(isos: Iterable[float]) -> str:
     return ", ".join(f"{iso:g}" for iso in isos)
 
 
-def _listed_problems(camera: str, problems: Sequence[Problem], outcome: str) -> str:
+def _format_problems(camera: str, problems: Sequence[Problem], outcome: str) -> str:
     lines = [problem.format_text() for problem in problems]
     return "\n".join([*lines, f"{camera}: {counted(len(lines), 'problem')}; {outcome}"])

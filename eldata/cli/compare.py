@@ -61,12 +61,12 @@ def run(arguments: console.Arguments) -> int:
         raise ArgumentError(f"two results are called {twice!r}; name each with --name, in the order of the files")
     comparison = compare({name: load_result(path) for name, path in zip(names, paths, strict=True)})
 
-    def told() -> str:
+    def format_text() -> str:
         for warning in comparison.warnings:
             print(f"eldata compare: warning: {' '.join(warning.split())}", file=sys.stderr)
         return format_comparison(comparison, arguments.format)
 
-    images = _images(comparison, arguments) if arguments.pictures else ()
+    images = _list_images(comparison, arguments) if arguments.pictures else ()
 
     def write_page() -> None:
         from eldata.base.workers import Workers
@@ -80,11 +80,11 @@ def run(arguments: console.Arguments) -> int:
             workers=Workers(arguments.jobs),
         )
 
-    console.show_and_write(arguments, told, comparison.as_dict, arguments.html and write_page)
+    console.show_and_write(arguments, format_text, comparison.as_dict, arguments.html and write_page)
     return console.OK
 
 
-def _images(comparison: Comparison, arguments: console.Arguments) -> tuple[ScoredImage, ...]:
+def _list_images(comparison: Comparison, arguments: console.Arguments) -> tuple[ScoredImage, ...]:
     """List the images to decode for the pictures, from what the results state of their data."""
     from eldata.evaluation.looking import images_of, stated_predictions, units_again
 

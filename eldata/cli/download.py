@@ -63,7 +63,7 @@ def run(arguments: console.Arguments) -> int:
     from eldata.manifest.catalogue import known_manifest
 
     manifest = known_manifest(arguments.dataset)
-    found = overview(manifest, arguments.root)
+    details = overview(manifest, arguments.root)
     downloads = manifest.card.downloads
     parts = choose_parts(downloads, arguments.parts) if arguments.yes or arguments.parts else ()
     wanted = [
@@ -71,29 +71,29 @@ def run(arguments: console.Arguments) -> int:
     ]
     installed: list[Installed] = []
     if arguments.archives:
-        installed = [unpack_dataset(path, manifest, found.folder) for path in arguments.archives]
-    elif not presence_of(found.folder, wanted).complete:
-        print(_terms(found, parts or downloads))
+        installed = [unpack_dataset(path, manifest, details.folder) for path in arguments.archives]
+    elif not presence_of(details.folder, wanted).complete:
+        print(_format_terms(details, parts or downloads))
         if arguments.yes:
-            installed = _fetch(manifest, found.root, parts)
-    for one in installed:
-        print(one.format_text())
-    presence = presence_of(found.folder, wanted)
-    differing = sum(len(one.differing) for one in installed)
+            installed = _fetch_parts(manifest, details.root, parts)
+    for archive in installed:
+        print(archive.format_text())
+    presence = presence_of(details.folder, wanted)
+    differing = sum(len(archive.differing) for archive in installed)
     data = {
         "dataset": manifest.name,
-        "folder": str(found.folder),
+        "folder": str(details.folder),
         "presence": asdict(presence) | {"complete": presence.complete},
-        "archives": [one.as_dict() for one in installed],
+        "archives": [archive.as_dict() for archive in installed],
     }
-    console.show_and_write(arguments, lambda: _conclusion(found, presence, differing), lambda: data)
+    console.show_and_write(arguments, lambda: _format_conclusion(details, presence, differing), lambda: data)
     return console.OK if presence.complete and not differing else console.PROBLEMS
 
 
-def _terms(found: Overview, downloads: Sequence[Download]) -> str:
+def _format_terms(details: Overview, downloads: Sequence[Download]) -> str:
     from eldata.download.overview import format_downloads
 
-    card = found.card
+    card = details.card
     lines = [
         f"{card.name}: {card.title}",
         f"    licence: {card.licence}",
@@ -105,12 +105,12 @@ def _terms(found: Overview, downloads: Sequence[Download]) -> str:
         "Each download costs its publisher money: fetch an archive once, keep it, and copy it between your machines.",
     ]
     if any(download.direct for download in downloads):
-        lines.append(f"To fetch what is marked direct: {found.download_command} --yes")
-    lines.append(f"What is marked by hand, open in a browser and save; then: {found.download_command} --from FILE")
+        lines.append(f"To fetch what is marked direct: {details.download_command} --yes")
+    lines.append(f"What is marked by hand, open in a browser and save; then: {details.download_command} --from FILE")
     return "\n".join(lines) + "\n"
 
 
-def _fetch(manifest: Manifest, root: Path, parts: Sequence[Download]) -> list[Installed]:
+def _fetch_parts(manifest: Manifest, root: Path, parts: Sequence[Download]) -> list[Installed]:
     from eldata.download.fetching import RangeDownloader, fetch_archive
     from eldata.download.installing import unpack_dataset
     from eldata.download.overview import presence_of
@@ -124,13 +124,13 @@ def _fetch(manifest: Manifest, root: Path, parts: Sequence[Download]) -> list[In
     return installed
 
 
-def _conclusion(found: Overview, presence: Presence, differing: int) -> str:
-    name = found.card.name
+def _format_conclusion(details: Overview, presence: Presence, differing: int) -> str:
+    name = details.card.name
     counted = "rows have files" if presence.patterns else "files are"
     if not presence.complete:
         unfinished = ", and an unpacking ended early: run it again" if presence.unfinished else ""
-        return f"{name}: {presence.files_present} of {presence.files_listed} {counted} in {found.folder}{unfinished}"
-    done = f"{name}: all {presence.files_listed} {counted} in {found.folder}"
+        return f"{name}: {presence.files_present} of {presence.files_listed} {counted} in {details.folder}{unfinished}"
+    done = f"{name}: all {presence.files_listed} {counted} in {details.folder}"
     if differing:
         return f"{done}, but some differ from the archive; move those away and run this again, or check them"
-    return f"{done}; check them: {found.verify_command}"
+    return f"{done}; check them: {details.verify_command}"

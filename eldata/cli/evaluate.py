@@ -19,7 +19,7 @@ from eldata.base import console
 from eldata.base.console import add_output
 from eldata.base.files import refuse_among
 from eldata.base.tables import FORMATS
-from eldata.cli.baseline import add_excluded, add_pairs, add_set
+from eldata.cli.baseline import add_pairs, add_set
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -39,7 +39,8 @@ def add_options(parser: console.Parser) -> None:
     text = "name in eldata protocols, or a TOML file (default: the set's own; raw for your own set)"
     parser.add_argument("--protocol", metavar="P", help=text)
     add_pairs(parser)
-    add_excluded(parser, "; may be repeated")
+    text = "leave out pairs with this flag; may be repeated"
+    parser.add_argument("--exclude", action="append", default=[], dest="exclude_flags", metavar="FLAG", help=text)
     text = "score by this function of (prediction, reference), too"
     parser.add_argument("--task", metavar="MODULE:NAME", help=text)
     parser.add_argument("--dark-shading", metavar="FILE", help="dark shading subtracted from the inputs")
@@ -66,7 +67,7 @@ def run(arguments: console.Arguments) -> int:
         return _run_several(arguments)
     predictions = next(iter(arguments.predictions), None)
     with console.chosen_workers(arguments) as workers:
-        request = make_request(predictions, **_options(arguments, workers))
+        request = make_request(predictions, **_take_options(arguments, workers))
         _check_places(request, *(path.parent for path in console.output_paths(arguments)))
         result = perform_each([request])[0]
 
@@ -84,7 +85,7 @@ def run(arguments: console.Arguments) -> int:
         console.each_of(
             arguments.json and (lambda: result.write_json(arguments.json)),
             arguments.csv and (lambda: result.write_csv(arguments.csv)),
-            lambda: _show(result, arguments),
+            lambda: _show_result(result, arguments),
             arguments.html and write_page,  # last, because it takes longest
         )
     return console.OK if result.scored and not result.problems else console.PROBLEMS
@@ -96,7 +97,7 @@ def _check_places(request: Request, *folders: Path) -> None:
         refuse_among(folder, request.folder, (record.path for record in request.manifest.records))
 
 
-def _options(arguments: console.Arguments, workers: Workers) -> dict[str, Any]:
+def _take_options(arguments: console.Arguments, workers: Workers) -> dict[str, Any]:
     """Take the options of scoring as keyword arguments."""
     names = (
         "protocol", "root", "manifest", "cameras", "subset", "ids", "exclude_flags",
@@ -129,7 +130,7 @@ def _run_several(arguments: console.Arguments) -> int:
     folders = name_folders([Path(name) for name in arguments.predictions], arguments.names)
     out = None if arguments.output is None else Path(arguments.output)
     with console.chosen_workers(arguments) as workers:
-        options = _options(arguments, workers)
+        options = _take_options(arguments, workers)
         requests = [make_request(folder, **options) for folder in folders.values()]
         if out is not None:
             _check_places(requests[0], out)
@@ -141,7 +142,7 @@ def _run_several(arguments: console.Arguments) -> int:
         heading = {"text": "{}:\n", "markdown": "## {}\n", "latex": "% {}"}[arguments.format]
         for name, result in results.items():
             print(heading.format(name))
-            _show(result, arguments)
+            _show_result(result, arguments)
             print()
         if comparison is not None:
             for warning in comparison.warnings:
@@ -158,7 +159,8 @@ def _run_several(arguments: console.Arguments) -> int:
 
     def say_how_to_see() -> None:
         if comparison is not None and out is not None and arguments.format == "text":
-            print(f"\nwritten: {out}\nto see every image beside each other: {_with_pictures(comparison, arguments)}")
+            command = _make_pictures_command(comparison, arguments)
+            print(f"\nwritten: {out}\nto see every image beside each other: {command}")
 
     console.each_of(
         None if out is None else lambda: write_results(out, results, comparison), show, write_page, say_how_to_see
@@ -167,7 +169,7 @@ def _run_several(arguments: console.Arguments) -> int:
     return console.OK if all_well else console.PROBLEMS
 
 
-def _with_pictures(comparison: Comparison, arguments: console.Arguments) -> str:
+def _make_pictures_command(comparison: Comparison, arguments: console.Arguments) -> str:
     """Make the command that draws a comparison's images."""
     out = Path(arguments.output)
     options = {name: getattr(arguments, name) for name in ("manifest", "root", "dark_shading")}
@@ -181,7 +183,7 @@ def _with_pictures(comparison: Comparison, arguments: console.Arguments) -> str:
     )
 
 
-def _show(result: EvaluationResult, arguments: console.Arguments) -> None:
+def _show_result(result: EvaluationResult, arguments: console.Arguments) -> None:
     from eldata.evaluation.scores import problem_lines
 
     form: Format = arguments.format if result.scored else "text"

@@ -29,23 +29,24 @@ def run(arguments: console.Arguments) -> int:
     from eldata.download.overview import overview_of
     from eldata.manifest.catalogue import data_root, known_names
 
-    found, problems = [], []
+    overviews, problems = [], []
     for name in known_names() if arguments.dataset is None else (arguments.dataset,):
         try:
-            found.append(overview_of(name, arguments.root))
+            overviews.append(overview_of(name, arguments.root))
         except EldataError as error:  # what another package registers must not keep the rest from being shown
             if arguments.dataset is not None:
                 raise
             problems.append(str(error))
 
-    def told() -> str:
+    def format_text() -> str:
         if arguments.dataset is not None:
-            return found[0].format_text()
+            return overviews[0].format_text()
         header = ("name", "files", "size", f"in {data_root(arguments.root)}", "title")
-        lines = text_table(header, [one.row for one in found], left=(0, 3, 4)).splitlines()
+        lines = text_table(header, [overview.row for overview in overviews], left=(0, 3, 4)).splitlines()
         table = "\n".join(line[: console.terminal_columns()] for line in lines)
         return f"{table}\n\neldata info NAME shows one: addresses, licence, citation, known defects"
 
-    said = [partial(print, f"eldata info: {problem}", file=sys.stderr) for problem in problems]
-    console.show_and_write(arguments, told, lambda: {"datasets": [one.as_dict() for one in found]}, *said)
+    warnings = [partial(print, f"eldata info: {problem}", file=sys.stderr) for problem in problems]
+    data = {"datasets": [overview.as_dict() for overview in overviews]}
+    console.show_and_write(arguments, format_text, lambda: data, *warnings)
     return console.PROBLEMS if problems else console.OK

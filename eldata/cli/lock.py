@@ -34,16 +34,16 @@ def run(arguments: console.Arguments) -> int:
 
     with console.chosen_workers(arguments) as workers:
         report = lock(arguments.manifest, arguments.root, cameras=arguments.cameras, workers=workers)
-    found = {"files_locked": report.files_locked, "problems": [asdict(problem) for problem in report.problems]}
-    console.show_and_write(arguments, lambda: _told(report), lambda: found)
+    data = {"files_locked": report.files_locked, "problems": [asdict(problem) for problem in report.problems]}
+    console.show_and_write(arguments, lambda: _format_report(report), lambda: data)
     return console.OK if report.files_locked else console.PROBLEMS
 
 
-def _told(report: LockReport) -> str:
+def _format_report(report: LockReport) -> str:
     if report.files_locked:
         done = f"{report.path}: size and hash of {report.files_locked} files recorded"
     else:
         count = len(report.problems)
         done = f"{report.path} was left as it is" + (f": {counted(count, 'problem')}" if count else "")
-    found = map(str, report.problems) if report.checks.ok else [report.checks.format_text()]
-    return "\n".join([*found, done])
+    problems = map(str, report.problems) if report.checks.ok else [report.checks.format_text()]
+    return "\n".join([*problems, done])

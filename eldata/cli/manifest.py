@@ -57,28 +57,28 @@ def run(arguments: console.Arguments) -> int:
     if output.suffix != ".csv":
         raise ArgumentError(f"-o takes a name that ends in .csv, found {arguments.output}")
     with console.chosen_workers(arguments) as workers:
-        found = sort_own_set(folder, output.stem, reference=arguments.reference, scene=arguments.scene, workers=workers)
-    if not found.problems:
-        refuse_others(output, found.card, found.records, "remove it")
-        save_manifest(output, found.card, found.records)
+        own = sort_own_set(folder, output.stem, reference=arguments.reference, scene=arguments.scene, workers=workers)
+    if not own.problems:
+        refuse_others(output, own.card, own.records, "remove it")
+        save_manifest(output, own.card, own.records)
     data = {
-        "card": asdict(found.card),
-        "frames": len(found.records),
-        "problems": [asdict(problem) for problem in found.problems],
-        "left_out": dict(found.left_out),
+        "card": asdict(own.card),
+        "frames": len(own.records),
+        "problems": [asdict(problem) for problem in own.problems],
+        "left_out": dict(own.left_out),
     }
-    console.show_and_write(arguments, lambda: _told(found, output, folder), lambda: data)
-    return console.PROBLEMS if found.problems else console.OK
+    console.show_and_write(arguments, lambda: _format_own_set(own, output, folder), lambda: data)
+    return console.PROBLEMS if own.problems else console.OK
 
 
-def _told(found: OwnSet, output: Path, folder: Path) -> str:
-    if found.problems:
-        lines = [problem.format_text() for problem in found.problems]
+def _format_own_set(own: OwnSet, output: Path, folder: Path) -> str:
+    if own.problems:
+        lines = [problem.format_text() for problem in own.problems]
         return "\n".join([*lines, f"{counted(len(lines), 'problem')}: nothing was written"])
     place = f"{output} --root {folder.parent}"
     lines = [
-        found.format_text(),
-        f"manifest: {output}, {counted(len(found.records), 'frame')}",
+        own.format_text(),
+        f"manifest: {output}, {counted(len(own.records), 'frame')}",
         f"card: {output.with_suffix('.json')}; fill in its licence and homepage before you give the set to others",
         f"to check: eldata verify {place} --level metadata",
         f"to score: eldata evaluate PREDS --manifest {place}",

@@ -49,7 +49,7 @@ def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.sources.store.write import build_store
 
-    source = _source(arguments)
+    source = _choose_source(arguments)
     refuse_among(Path(arguments.output).parent, source.folder, (path for path, _ in source.files))
     with console.chosen_workers(arguments) as workers:
         store = build_store(source, arguments.output, compression=arguments.compression, workers=workers)
@@ -62,14 +62,14 @@ def run(arguments: console.Arguments) -> int:
     return console.OK
 
 
-def _source(arguments: console.Arguments) -> Source:
+def _choose_source(arguments: console.Arguments) -> Source:
     from eldata.sources.store.write import source_of_dataset, source_of_folder
 
     if not Path(arguments.dataset).is_dir() or arguments.manifest is not None:
         if arguments.reference:
             raise ArgumentError("--reference is for a folder of raws: the manifest of a dataset says what is clean")
         if arguments.dataset == _CALIBRATION and arguments.manifest is None:
-            return _calibration(arguments)
+            return _find_calibration(arguments)
         if arguments.manifest is None and Path(arguments.dataset).name != arguments.dataset:  # no name has slashes
             problem = folder_problem(Path(arguments.dataset))
             raise ArgumentError(f"{arguments.dataset}: {problem}; give a folder of camera raws, or a dataset's name")
@@ -82,7 +82,7 @@ def _source(arguments: console.Arguments) -> Source:
     return source_of_folder(arguments.dataset, arguments.reference)
 
 
-def _calibration(arguments: console.Arguments) -> Source:
+def _find_calibration(arguments: console.Arguments) -> Source:
     from eldata.errors import DatasetError
     from eldata.manifest.catalogue import data_root
     from eldata.sources.store.write import source_of_folder

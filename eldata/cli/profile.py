@@ -45,16 +45,17 @@ def run_show(arguments: console.Arguments) -> int:
     from eldata.noise.profile import CameraProfile
 
     profile = CameraProfile.load(arguments.camera)
-    console.show_and_write(arguments, lambda: "\n".join([*_facts(profile), "", *_rows(profile)]), profile.as_dict)
+    lines = [*_format_facts(profile), "", *_format_rows(profile)]
+    console.show_and_write(arguments, lambda: "\n".join(lines), profile.as_dict)
     return console.OK
 
 
-def _facts(profile: CameraProfile) -> list[str]:
-    """Return lines on a camera."""
+def _format_facts(profile: CameraProfile) -> list[str]:
+    """Format the facts on a camera, a line each."""
     from eldata.base.tables import one_line, wrapped
 
     low, high = profile.gain_range_dn_per_e
-    frames = [total] if (total := sum(len(row.frame_bias_dn) for row in profile.rows)) else []
+    frames = sum(len(row.frame_bias_dn) for row in profile.rows)
     facts = [
         ("source", one_line(profile.source)),
         ("gain", f"{low:.4g} to {high:.4g} DN/e-"),
@@ -65,19 +66,16 @@ def _facts(profile: CameraProfile) -> list[str]:
             for name, level in (("black", profile.black_level_dn), ("white", profile.white_level_dn))
             if level is not None
         ),
-        *(("frames", f"colour biases of {n} bias frames, of which a draw takes one") for n in frames),
-        *(("step", f"{step:g} DN, the quantisation step") for step in [profile.quantisation_step_dn] if step != 1),
-        *(("accepted", f" {one_line(one)}, with a larger error") for one in profile.accepted),
+        *([("frames", f"colour biases of {frames} bias frames, of which a draw takes one")] if frames else []),
+        *([("step", f"{step:g} DN, the quantisation step")] if (step := profile.quantisation_step_dn) != 1 else []),
+        *(("accepted", f" {one_line(check)}, with a larger error") for check in profile.accepted),
         *(("note", one_line(note)) for note in profile.notes),
     ]
-    indent = " " * 10
-    return [
-        one_line(profile.camera),
-        *(line for name, text in facts for line in wrapped(f"  {name:<8}{text}", indent)),
-    ]
+    lines = [line for name, text in facts for line in wrapped(f"  {name:<8}{text}", " " * 10)]
+    return [one_line(profile.camera), *lines]
 
 
-def _rows(profile: CameraProfile) -> list[str]:
+def _format_rows(profile: CameraProfile) -> list[str]:
     """Describe the figures at each ISO, and the lines over K."""
     from eldata.base.tables import text_table
 
@@ -174,8 +172,8 @@ def run_list(arguments: console.Arguments) -> int:
     ]
     header = ("profile", "gain [DN/e-]", "ISO", "rows", "source")
 
-    def told() -> str:
+    def format_text() -> str:
         return text_table(header, rows, left=(0, 4), columns=console.terminal_columns())
 
-    console.show_and_write(arguments, told, lambda: listed)
+    console.show_and_write(arguments, format_text, lambda: listed)
     return console.OK

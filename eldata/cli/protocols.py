@@ -42,48 +42,48 @@ def run(arguments: console.Arguments) -> int:
     from eldata.protocols.words import HEADER, summary
 
     names = arguments.protocol[1:] if arguments.protocol[:1] == ["show"] else arguments.protocol
-    found = _chosen(names, arguments.dataset)
+    chosen = _choose_protocols(names, arguments.dataset)
 
-    def told() -> str:
+    def format_text() -> str:
         if names:
-            return "\n\n".join(_page(protocol) for protocol in found)
-        rows = [summary(protocol, PROTOCOLS["eld"]) for protocol in found]
+            return "\n\n".join(_format_protocol(protocol) for protocol in chosen)
+        rows = [summary(protocol, PROTOCOLS["eld"]) for protocol in chosen]
         table = text_table(HEADER, rows, left=range(len(HEADER)), columns=console.terminal_columns())
         return (
             f"{table}\n\neld: full frame of packed raw, white 16383, one factor per image, SSIM 7x7\n"
             "eldata protocols NAME shows one: all that it fixes, its source and digest"
         )
 
-    data = {"protocols": [protocol.as_dict() | {"digest": protocol.digest} for protocol in found]}
-    console.show_and_write(arguments, told, lambda: data)
+    data = {"protocols": [protocol.as_dict() | {"digest": protocol.digest} for protocol in chosen]}
+    console.show_and_write(arguments, format_text, lambda: data)
     return console.OK
 
 
-def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:
+def _choose_protocols(names: list[str], dataset: str | None) -> list[Protocol]:
     from eldata.errors import ArgumentError, did_you_mean
     from eldata.manifest.catalogue import known_names
     from eldata.protocols.named import FAMILIES, PROTOCOLS, get_protocol, members_of, of_digest
     from eldata.protocols.protocol import ANY_DATASET
 
-    found: list[Protocol] = []
+    chosen: list[Protocol] = []
     for name in names or PROTOCOLS:
         if name in FAMILIES:
-            found += members_of(name)
+            chosen += members_of(name)
         elif name.startswith(_DIGEST):
-            found += of_digest(name)
+            chosen += of_digest(name)
         else:
-            found.append(get_protocol(name))
+            chosen.append(get_protocol(name))
     if dataset is not None:
-        found = [protocol for protocol in found if protocol.covers(dataset)]
-        if all(protocol.dataset == ANY_DATASET for protocol in found):
+        chosen = [protocol for protocol in chosen if protocol.covers(dataset)]
+        if all(protocol.dataset == ANY_DATASET for protocol in chosen):
             known = known_names()
             raise ArgumentError(
                 f"no protocol is for dataset {dataset!r}; eldata info lists the datasets{did_you_mean(dataset, known)}"
             )
-    return found
+    return chosen
 
 
-def _page(protocol: Protocol) -> str:
+def _format_protocol(protocol: Protocol) -> str:
     from eldata.base.tables import wrapped
     from eldata.protocols.words import described
 

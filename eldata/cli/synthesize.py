@@ -15,7 +15,7 @@ import shlex
 from eldata.base import console
 from eldata.cli.pack import REFERENCE_HELP
 
-_OF_RECIPE = (
+_RECIPE_OPTIONS = (
     *("ratio", "seed", "iso", "row", "extrapolate", "per_image", "clips", "split", "format"),
     "dark_frames",
 )
@@ -39,7 +39,7 @@ def add_options(parser: console.Parser) -> None:
         ),
     )
     parser.add_argument(
-        "--ratio", metavar="A:B", type=_ratio, default=(100.0, 300.0), help="low-light factors (default: 100:300)"
+        "--ratio", metavar="A:B", type=_read_ratio, default=(100.0, 300.0), help="low-light factors (default: 100:300)"
     )
     parser.add_argument(
         "--iso", type=float, help="simulate this ISO, which noisy files then state, instead of drawing K"
@@ -70,7 +70,7 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument(
         "--split",
         metavar="A:B",
-        type=_split,
+        type=_read_split,
         help="shares of train and test, such as 95:5, drawn by --seed: whole clips, or else scenes (default: none)",
     )
     parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
@@ -79,7 +79,7 @@ def add_options(parser: console.Parser) -> None:
     console.add_shared(parser, run, "workers", interrupted=kept)
 
 
-def _ratio(text: str) -> tuple[float, float]:
+def _read_ratio(text: str) -> tuple[float, float]:
     low, _, high = text.partition(":")
     try:
         return float(low), float(high or low)
@@ -87,10 +87,10 @@ def _ratio(text: str) -> tuple[float, float]:
         raise argparse.ArgumentTypeError(f"expected a number or two such as 100:300, found {text!r}") from None
 
 
-def _split(text: str) -> tuple[float, float]:
+def _read_split(text: str) -> tuple[float, float]:
     if ":" not in text:
         raise argparse.ArgumentTypeError(f"expected two shares such as 95:5, found {text!r}")
-    return _ratio(text)
+    return _read_ratio(text)
 
 
 def run(arguments: console.Arguments) -> int:
@@ -102,14 +102,14 @@ def run(arguments: console.Arguments) -> int:
     from eldata.noise.components import parse_components
     from eldata.noise.profile import CameraProfile
 
-    has_dark, given = "D" in parse_components(arguments.model), arguments.dark_frames
-    if has_dark and given is None:
+    has_dark, dark_frames = "D" in parse_components(arguments.model), arguments.dark_frames
+    if has_dark and dark_frames is None:
         raise ArgumentError(
             f"--model {arguments.model!r}: component D takes real dark frames; give --dark-frames FOLDER|STORE"
         )
-    if given is not None and not has_dark:
+    if dark_frames is not None and not has_dark:
         raise ArgumentError("--dark-frames is for component D; name it in --model, as in 'P*+D'")
-    recipe = Recipe(CameraProfile.load(arguments.camera), arguments.model, **console.chosen(arguments, _OF_RECIPE))
+    recipe = Recipe(CameraProfile.load(arguments.camera), arguments.model, **console.chosen(arguments, _RECIPE_OPTIONS))
     out = Path(arguments.output)
     with console.chosen_workers(arguments) as workers:
         clean = list(map(Path, arguments.clean))

@@ -44,22 +44,18 @@ def add_options(parser: console.Parser) -> None:
 
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
-    alone = next(filter(_is_store, arguments.manifests), None)
-    if alone is not None and len(arguments.manifests) > 1:
-        raise ArgumentError(f"{alone} is checked alone: give it in a command of its own")
+    store = next((path for path in arguments.manifests if path.lower().endswith((".h5", ".hdf5"))), None)
+    if store is not None and len(arguments.manifests) > 1:
+        raise ArgumentError(f"{store} is checked alone: give it in a command of its own")
     with console.chosen_workers(arguments) as workers:
-        report = _of_files(arguments, workers) if alone is None else _of_store(arguments, alone, workers)
+        report = _verify_files(arguments, workers) if store is None else _verify_store(arguments, store, workers)
     console.show_and_write(
-        arguments, report.format_text if arguments.manifests else partial(_all_known, report), report.as_dict
+        arguments, report.format_text if arguments.manifests else partial(_format_all_known, report), report.as_dict
     )
     return console.OK if report.ok else console.PROBLEMS
 
 
-def _is_store(path: str) -> bool:
-    return path.lower().endswith((".h5", ".hdf5"))
-
-
-def _of_store(arguments: console.Arguments, path: str, workers: Workers) -> VerifyReport:
+def _verify_store(arguments: console.Arguments, path: str, workers: Workers) -> VerifyReport:
     from eldata.sources.store.write import verify_store
 
     if arguments.root is not None or arguments.cameras:
@@ -67,7 +63,7 @@ def _of_store(arguments: console.Arguments, path: str, workers: Workers) -> Veri
     return verify_store(path, level=arguments.level, workers=workers)
 
 
-def _of_files(arguments: console.Arguments, workers: Workers) -> VerifyReport:
+def _verify_files(arguments: console.Arguments, workers: Workers) -> VerifyReport:
     from eldata.manifest.catalogue import find_manifests, known_manifests
 
     if arguments.manifests:
@@ -79,11 +75,9 @@ def _of_files(arguments: console.Arguments, workers: Workers) -> VerifyReport:
     return verify(manifests, arguments.root, cameras=arguments.cameras, level=arguments.level, workers=workers)
 
 
-def _all_known(report: VerifyReport) -> str:
-    """Return the report on every known dataset: those that are there, and the names of the others."""
-    there = tuple(found for found in report.datasets if not found.absent)
-    absent = ", ".join(found.dataset for found in report.datasets if found.absent)
-    lines = [replace(report, datasets=there).format_text()]
-    if absent:
-        lines.append(f"not there: {absent}; eldata info NAME says where to get one")
-    return "\n".join(lines)
+def _format_all_known(report: VerifyReport) -> str:
+    """Format the report on every known dataset: those that are there, and the names of the others."""
+    there = tuple(dataset for dataset in report.datasets if not dataset.absent)
+    absent = ", ".join(dataset.dataset for dataset in report.datasets if dataset.absent)
+    lines = [f"not there: {absent}; eldata info NAME says where to get one"] if absent else []
+    return "\n".join([replace(report, datasets=there).format_text(), *lines])

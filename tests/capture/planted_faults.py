@@ -201,14 +201,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=2, help="of each kind, a fault (default: %(default)s)")
     parser.add_argument("--clean", type=int, default=100, help="scenes without a fault (default: %(default)s)")
-    parser.add_argument("--only", help="faults whose name holds this")
     options = parser.parse_args()
     print(
         "| fault | at least to be said | scenes | shoot again | look | keep | found by |\n|---|---|---|---|---|---|---|"
     )
     for fault in FAULTS if options.scenes else ():
-        if options.only and options.only not in fault.name:
-            continue
         found = verdicts(fault, options.scenes)
         said: Any = Counter(verdict for _, verdict, _ in found)
         missed = [kind for kind, verdict, _ in found if ORDER.index(verdict) < ORDER.index(fault.verdict)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from fractions import Fraction
@@ -79,23 +81,36 @@ def _mosaic(seed: int) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
     return np.random.default_rng(seed).integers(600, 15000, (SENSOR.height, SENSOR.width), dtype=np.uint16)
 
 
-def shoot(folder: Path, taken: Iterable[Taken], *, times: bool = True, shuffle: int | None = None) -> list[Path]:
-    """Write a file a press; return the files in order. Names count up, or say nothing at all (``shuffle``)."""
+def shoot(
+    folder: Path, taken: Iterable[Taken], *, times: bool = True, shuffle: int | None = None, day: int = 0
+) -> list[Path]:
+    """Write a file a press; return the files in order. Names count up, or say nothing at all (``shuffle``).
+
+    The pixels of one day are on no card of another.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     presses = list(taken)
     numbers = np.arange(9989, 9989 + len(presses)) % 9999 + 1  # the counter turns over, from 9999 to 1
     if shuffle is not None:
         numbers = np.random.default_rng(shuffle).permutation(len(presses))
-    now = START
+    now = START + timedelta(days=day)
     files = []
     for index, (press, number) in enumerate(zip(presses, numbers, strict=True)):
         now += timedelta(seconds=press.pause_s)
         path = folder / f"DSC{number:04d}.dng" if times else folder / f"DSC{index + 1}.dng"
         sensor = replace(SENSOR, model=press.model)
         exposure = Exposure(Fraction(press.iso), press.exposure_s, press.f_number)
-        write_dng(path, _mosaic(index), sensor, exposure, taken=now if times else None)
+        write_dng(path, _mosaic(1000 * day + index), sensor, exposure, taken=now if times else None)
         files.append(path)
     return files
+
+
+def run_capture(*arguments: str | Path, code: int = 0) -> str:
+    """Run `capture` in this process, with this exit code; return what it printed."""
+    printed = io.StringIO()
+    with redirect_stdout(printed), redirect_stderr(printed):
+        assert main([str(argument) for argument in arguments]) == code, printed.getvalue()
+    return printed.getvalue()
 
 
 class Nights:
@@ -105,10 +120,10 @@ class Nights:
         self.folder = folder
         self.data, self.csv = folder / "data" / "mine", folder / "manifests" / "mine.csv"
 
-    def add(self, plan: Plan, *cards: Path, options: tuple[str, ...] = ("--append",)) -> int:
+    def add(self, plan: Plan, *cards: Path, options: tuple[str, ...] = ("--append",), code: int = 0) -> str:
         plan.save(self.folder / "plan.json")
-        command = ["manifest", str(self.folder / "plan.json"), *map(str, cards), "-o", str(self.csv)]
-        return main([*command, "--copy-to", str(self.data), "--jobs", "1", *options])
+        command = ("manifest", self.folder / "plan.json", *cards, "-o", self.csv, "--copy-to", self.data)
+        return run_capture(*command, "--jobs", "1", *options, code=code)
 
     def problems(self) -> list[str]:
         report = verify(self.csv, self.folder / "data", level="full")

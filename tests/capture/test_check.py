@@ -7,7 +7,7 @@ import math
 import shutil
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -25,9 +25,11 @@ from capture.check.result import (
     MeasureKind,
 )
 from capture.cli import main
+from eldata.errors import EldataError
 from eldata.records import Exposure
 from tests.capture.planted_faults import lit, moved
 from tests.capture.simulated_scenes import ALPHA, Shot, radiance, write_scenes
+from tests.cases import in_one_test
 from tests.reports.pages import checked as checked_page
 
 if TYPE_CHECKING:
@@ -48,8 +50,9 @@ def checked(folder: Path, mishaps: dict[int, Mishap], scene: int = 1) -> Checked
 
 
 def named(group: CheckedGroup) -> set[tuple[str, int]]:
-    """Names and frame numbers of the measures that are beyond their limits."""
-    return {(one.name, int(one.path[-8:-4])) for one in group.reasons if isinstance(one, Measure)}
+    """Names and frame numbers of the measures that are beyond their limits; 0 for a folder's."""
+    measures = [reason for reason in group.reasons if isinstance(reason, Measure)]
+    return {(measure.name, int(measure.path[-8:-4]) if "IMG_" in measure.path else 0) for measure in measures}
 
 
 def value(group: CheckedGroup, name: str, number: int) -> Measure:
@@ -106,6 +109,10 @@ MISHAPS: dict[str, tuple[dict[int, Mishap], int, set[tuple[str, int]], str]] = {
     "another scene": (SCENE_2, 1, {("match", 5)}, "shoot again"),
     "wrong EXIF": (WRONG_EXIF, 1, {("EXIF ratio", 5)}, "shoot again"),
     "lens capped": ({15: lit(-100)}, 1, {("signal", 15)}, "shoot again"),
+    # Nearer to the ratio of the shutter's true times, 101.6, than to EXIF's 100, and near neither.
+    "other light": ({4: lit(-3)}, 1, {("EXIF ratio", 4)}, "shoot again"),
+    # An eighth longer: beyond the tenth by which a ratio may be off its nominal one.
+    "longer": ({5: exposed("1/350", stated=False)}, 1, {("ratio", 5), ("EXIF ratio", 5)}, "shoot again"),
 }
 
 
@@ -132,6 +139,18 @@ def test_measures_have_the_values_that_were_planted(tmp_path: Path) -> None:
     assert "EXIF does not show it; it fits IMG_0004.dng (x100): swapped?" in value(group, "ratio", 5).kind.advice
     assert "EXIF says the same" in value(group, "ratio", 15).kind.advice
     assert value(group, "EXIF ratio", 15).kind.expected == 100
+
+
+def test_black_beyond_a_hundredth_of_full_scale(tmp_path: Path) -> None:
+    """Amplified by 100, 2 DN are 1.4 %; in frame 14, of ISO 3200, 1 DN is beyond 1 % by less than its error."""
+    added = {4: 2, 14: 1}
+    manifest = write_scenes(
+        tmp_path, ids=(1, 4, 6, 14, 16), seed=1, digital=lambda _, number, dn: dn + np.uint16(added.get(number, 0))
+    )
+    (group,) = check(manifest, tmp_path / "data").groups
+    assert named(group) == {("offset", 4)}
+    assert value(group, "offset", 4).value == pytest.approx(1.4, abs=0.1)
+    assert value(group, "offset", 14).value > 1
 
 
 # --- files --------------------------------------------------------------------------------------------------------
@@ -225,23 +244,18 @@ def test_ratios_that_are_off_alike_are_one_line_and_a_count() -> None:
     assert sum(len(group["reasons"]) for group in report.as_dict()["groups"]) == 80
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
+@in_one_test(
+    "chosen, message",
     [
-        (("--scene", "7"), "no frame has scene scene-7; known are scene-1, scene-2"),
-        (("--camera", "Other"), "no frame has camera Other; known are DemoAlpha"),
-        (("--sheet", "sheet.gif"), "expected a name that ends in .html"),
-        (("--root", "nowhere"), "no folder nowhere/MY: --root names the folder that holds MY"),
+        ({"scenes": ["7"]}, "no frame has scene scene-7; known are scene-1, scene-2"),
+        ({"cameras": ["Other"]}, "no frame has camera Other; known are DemoAlpha"),
+        ({"root": "nowhere"}, "no folder nowhere/MY: --root names the folder that holds MY"),
     ],
 )
-def test_wrong_usage_is_one_line(
-    two_scenes: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
-) -> None:
-    assert run(two_scenes, *arguments) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert message in err
-    assert err.count("\n") == 1
+def test_what_is_not_there_is_refused(two_scenes: Path, chosen: dict[str, Any], message: str) -> None:
+    with pytest.raises(EldataError) as caught:
+        check(two_scenes / "manifests" / "my.csv", **{"root": two_scenes / "data"} | chosen)
+    assert message in str(caught.value)
 
 
 def test_the_result_does_not_depend_on_the_number_of_jobs(two_scenes: Path) -> None:
@@ -258,29 +272,6 @@ def test_the_limits_are_those_of_a_perfect_denoiser() -> None:
     errors = (LIGHT_AGAIN * 0.3, SHIFT_AGAIN_PX * 0.01, LIGHT_LOOK * 0.3, SHIFT_LOOK_PX * 0.01)
     expected_db = [BEST_PSNR_DB, BEST_PSNR_DB, LOOK_DB, LOOK_DB]
     assert [-20 * math.log10(error) for error in errors] == pytest.approx(expected_db)
-
-
-def as_dialled(shot: Shot) -> Shot:
-    """EXIF has the names of a shutter's times, 30 s and 1/25 s, which are 32 s and 2^(-14/3) s; 4 s stand for 32 s."""
-    if shot.iso == 100:
-        return replace(shot, exif=Exposure(Fraction(100), Fraction(30)))
-    given_s = Fraction(2 ** (-14 / 3) * 4 / 32).limit_denominator(10**6)
-    return replace(shot, exif=Exposure(Fraction(shot.iso), Fraction(1, 25)), exposure_s=given_s)
-
-
-def test_a_ratio_that_exif_rounds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """EXIF's 93.75 where the pixels show 101.59: somebody has to look."""
-    write_scenes(tmp_path, {(2, n): as_dialled for n in (1, 4, 6, 16)}, scenes=(2,), ids=(1, 4, 6, 16))
-    csv, out, sheet = tmp_path / "manifests" / "my.csv", tmp_path / "check.json", tmp_path / "sheet.html"
-    arguments = ["check", str(csv), "--root", str(tmp_path / "data"), "--json", str(out)]
-    assert main([*arguments, "--sheet", str(sheet)]) == 1
-    assert "EXIF has the rounded names of the shutter's times" in capsys.readouterr().out
-    assert "1 pairs" in sheet.read_text()
-    (row,) = json.loads(out.read_text())["groups"][0]["pairs"]
-    assert row["verdict"] == "look"
-    found = row["measured"]["EXIF ratio"]
-    assert found["value"] == pytest.approx(101.59, abs=5 * found["standard_error"])
-    assert found["standard_error"] < 0.5
 
 
 def test_gaps_of_values_by_their_share() -> None:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from capture.check.calibration import PATCHES, patch_levels, unevenness
-from capture.check.frames import Cells, luminance, reduce_to_cells, saturation_dn
-from capture.check.ratio import brightness_ratios, fit_ratio
+from capture.check.calibration import PATCHES, measure_patches, measure_unevenness
+from capture.check.frames import Cells, find_saturation_dn, luminance, reduce_to_cells
+from capture.check.ratio import fit_ratio, measure_brightness
 from capture.check.result import Measure, MeasureKind
-from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
+from capture.check.shift import cut_moved_tiles, make_tiles, measure_focus, measure_shift
 from eldata.raw.levels import XTRANS_CFA, bayer_cfa, pack
 from eldata.records import Exposure, Sensor
 from tests.capture.planted_faults import lit, moved, picture
@@ -53,7 +53,7 @@ def grey_of(mosaic: NDArray[np.uint16], camera: SimulatedCamera = ALPHA) -> NDAr
 def shift_of(first: NDArray[np.float32], second: NDArray[np.float32]) -> tuple[Tiles, Tiles, Shift]:
     """Tiles of two luminances that lie on the same pixels, and what is left of a shift between them."""
     tiles = make_tiles(first)
-    cut = there(None if tiles is None else moved_tiles(tiles, second))
+    cut = there(None if tiles is None else cut_moved_tiles(tiles, second))
     assert cut[2] == (0, 0)
     shift = there(measure_shift(cut[0], cut[1]))
     return cut[0], cut[1], shift
@@ -98,8 +98,8 @@ def test_saturation_below_the_recorded_white_level_is_seen() -> None:
     mosaic = photographed(light, 1, camera=BETA)
     level = np.random.default_rng(0).normal(13583, 2, mosaic.shape)
     clipped = np.minimum(mosaic, np.rint(level)).astype(np.uint16)
-    assert saturation_dn(photographed(radiance(1), 1, camera=BETA), body.sensor) == body.sensor.white_level_dn
-    found = saturation_dn(clipped, body.sensor)
+    assert find_saturation_dn(photographed(radiance(1), 1, camera=BETA), body.sensor) == body.sensor.white_level_dn
+    found = find_saturation_dn(clipped, body.sensor)
     assert 13560 < found <= 13583
     true_share = np.count_nonzero(mosaic >= 13583) / mosaic.size
     assert true_share > 0.01
@@ -117,7 +117,7 @@ def test_drift_to_a_tenth_of_a_percent() -> None:
         first = seen(radiance(scene), 1, camera=camera)
         light = radiance(scene) * np.float32(1 + percent / 100)
         second = seen(light, 2, camera=camera)
-        ratios = [one for one in brightness_ratios(first, second) if one is not None]
+        ratios = [one for one in measure_brightness(first, second) if one is not None]
         assert len(ratios) >= 3
         assert [one.value for one in ratios] == pytest.approx([1 + percent / 100] * len(ratios), abs=1e-3)
         off += [(one.value - 1 - percent / 100) / one.standard_error for one in ratios]
@@ -143,7 +143,7 @@ def test_the_shift_of_unmoved_frames_is_within_its_error() -> None:
 def test_a_picture_without_detail_has_no_shift() -> None:
     even = np.full((3, *SIZE), 0.3, dtype=np.float32)
     tiles = there(make_tiles(grey_of(photographed(even, 1))))
-    cut = moved_tiles(tiles, grey_of(photographed(even, 2)))
+    cut = cut_moved_tiles(tiles, grey_of(photographed(even, 2)))
     assert cut is None or measure_shift(cut[0], cut[1]) is None
     assert make_tiles(np.zeros((20, 20), dtype=np.float32)) is None
 
@@ -224,7 +224,7 @@ def test_black_that_is_clipped_has_no_ratio() -> None:
 
 def test_patches_have_the_errors_that_they_state() -> None:
     dark = np.zeros((3, *SIZE), dtype=np.float32)
-    levels = [patch_levels(seen(dark, seed, iso=1600)) for seed in range(20)]
+    levels = [measure_patches(seen(dark, seed, iso=1600)) for seed in range(20)]
     stack = np.stack([level for level, _ in levels])
     stated = float(np.mean([error for _, error in levels]))
     assert stack.shape == (20, PATCHES, PATCHES)
@@ -235,7 +235,7 @@ def test_patches_have_the_errors_that_they_state() -> None:
 def test_unevenness_of_a_ramp() -> None:
     ramp = np.broadcast_to(np.linspace(0.2, 0.6, SIZE[1], dtype=np.float32), (3, *SIZE))
     # From the first to the last of 18 columns of blocks: 17/18 of 0.4, over the median 0.4.
-    assert unevenness(seen(np.ascontiguousarray(ramp), 1)) == pytest.approx(17 / 18, abs=0.01)
+    assert measure_unevenness(seen(np.ascontiguousarray(ramp), 1)) == pytest.approx(17 / 18, abs=0.01)
 
 
 # --- verdicts -----------------------------------------------------------------------------------------------------

@@ -19,8 +19,8 @@ from capture.checklist import (
     read_items,
     text_checklist,
 )
-from capture.cli import main
 from tests.capture.checklist_plans import small
+from tests.capture.simulated import run_capture
 from tests.reports.pages import assert_well_formed, checked
 
 if TYPE_CHECKING:
@@ -112,24 +112,13 @@ def test_text_and_markdown_hold_what_the_page_holds() -> None:
 # --- the command ----------------------------------------------------------------------------------------------------
 
 
-def test_text_goes_to_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_goes_to_the_terminal(tmp_path: Path) -> None:
     PLAN.save(tmp_path / "plan.json")
-    assert main(["checklist", str(tmp_path / "plan.json")]) == 0
-    assert capsys.readouterr().out == text_checklist(PLAN)
-    assert main(["checklist", str(tmp_path / "plan.json"), "--format", "md", "--json", str(tmp_path / "it.json")]) == 0
-    assert capsys.readouterr().out == markdown_checklist(PLAN)
+    command = ("checklist", tmp_path / "plan.json")
+    assert run_capture(*command) == text_checklist(PLAN)
+    assert run_capture(*command, "--format", "md", "--json", tmp_path / "it.json") == markdown_checklist(PLAN)
     content = json.loads((tmp_path / "it.json").read_text())
     assert content == {"file": None, "format": "md", "plan": plan_digest(PLAN), "frames": len(PLAN.shots)}
-
-
-def test_wrong_usage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.chdir(tmp_path)
-    PLAN.save("plan.json")
-    for options, words in (
-        ("--format html", "a page needs a file"),
-        ("-o list.pdf", "expected a name that ends in .html, .md or .txt"),
-        ("-o plan.json --format txt", "-o: plan.json is a file that this command reads"),
-    ):
-        assert main(["checklist", "plan.json", *options.split()]) == 2
-        assert words in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]
+    page = tmp_path / "page.html"
+    assert run_capture(*command, "-o", page) == f"{page}: 2 scenes, {len(PLAN.shots)} frames\n"
+    assert page.read_text(encoding="utf-8") == html_checklist(PLAN)

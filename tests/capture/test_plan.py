@@ -16,10 +16,10 @@ from capture.plan import Plan, make_plan
 from capture.protocol import PAPER, RELEASED, CaptureProtocol
 from capture.shots import (
     RATIO_TOLERANCE,
-    default_isos,
+    choose_isos,
     format_minutes,
     plan_calibration,
-    scene_shots,
+    plan_shots,
     sum_duration_s,
 )
 from eldata.manifest import pair_checks
@@ -43,7 +43,7 @@ DIALS = [time.dial for time in EXAMPLE.shutter.times]
 def test_shots_of_any_metered_time(dial: str, protocol: Any, step: Fraction) -> None:
     camera = replace(EXAMPLE, shutter=Shutter.between("1/8000", "30", step))
     try:
-        shots = scene_shots(camera, protocol, Fraction(dial))
+        shots = plan_shots(camera, protocol, Fraction(dial))
     except ImpossibleShotError:
         return
     base = shots[0].setting
@@ -81,9 +81,19 @@ def test_shots_of_any_metered_time(dial: str, protocol: Any, step: Fraction) -> 
 def test_impossible_shots_say_what_to_change(camera: CameraDescription, metered: str, words: str) -> None:
     """And what they say helps: a scene of 60 s at ISO 100 is one of 30 s at ISO 200."""
     with pytest.raises(ImpossibleShotError) as caught:
-        scene_shots(camera, RELEASED, Fraction(metered))
+        plan_shots(camera, RELEASED, Fraction(metered))
     assert words in str(caught.value)
-    assert scene_shots(EXAMPLE, replace(RELEASED, base_iso=200), Fraction(30))[0].setting.dial == "30"
+    assert plan_shots(EXAMPLE, replace(RELEASED, base_iso=200), Fraction(30))[0].setting.dial == "30"
+
+
+def test_what_to_know_about_a_scene_of_full_stops() -> None:
+    """Names, such as 1/15 s for 1/16 s, and a metered time between two of them."""
+    camera = replace(EXAMPLE, shutter=Shutter.between("1/8000", "30", Fraction(1)))
+    rounded, far = make_plan(camera, PAPER, {"scene-1": Fraction(3)}).scenes[0].remarks
+    assert rounded == "metered at 3 s, set as 4 s, the camera's nearest time"
+    assert far.startswith(
+        "frames 2, 3, 5, 6, 8, 9: the ratio is more than 10 % off its factor, which eldata verify refuses"
+    )
 
 
 def test_the_time_that_shots_take() -> None:
@@ -109,7 +119,7 @@ def test_true_isos_give_the_light() -> None:
     half = Fraction(566, 800)
     camera = replace(EXAMPLE, true_isos=((100, Fraction(100)), (800, 800 * half), (1600, Fraction(1600))))
     protocol = replace(RELEASED, noisy_isos=(800, 1600))
-    plain, shots = scene_shots(EXAMPLE, protocol, Fraction(4)), scene_shots(camera, protocol, Fraction(4))
+    plain, shots = plan_shots(EXAMPLE, protocol, Fraction(4)), plan_shots(camera, protocol, Fraction(4))
     for before, shot in zip(plain, shots, strict=True):
         assert shot.true_iso == {100: 100, 800: 566, 1600: 1600}[shot.iso]
         if shot.iso != 800:
@@ -123,8 +133,8 @@ def test_true_isos_give_the_light() -> None:
         assert abs(there(shot.ratio_error).log2) <= 1 / 6 + 1e-9
     # A camera that is off everywhere alike is off nowhere in its ratios.
     alike = replace(EXAMPLE, true_isos=tuple((iso, iso * half) for iso in EXAMPLE.isos))
-    found = scene_shots(alike, RELEASED, Fraction(4))
-    for before, shot in zip(scene_shots(EXAMPLE, RELEASED, Fraction(4)), found, strict=True):
+    found = plan_shots(alike, RELEASED, Fraction(4))
+    for before, shot in zip(plan_shots(EXAMPLE, RELEASED, Fraction(4)), found, strict=True):
         assert replace(shot, true_iso=None) == before
 
 
@@ -132,7 +142,7 @@ def test_true_isos_give_the_light() -> None:
 
 
 def test_calibration_frames() -> None:
-    plan = plan_calibration(EXAMPLE, 100, default_isos(EXAMPLE, RELEASED), Fraction(1, 2))
+    plan = plan_calibration(EXAMPLE, 100, choose_isos(EXAMPLE, RELEASED), Fraction(1, 2))
     assert plan.isos == (100, 200, 400, 800, 1600, 3200)
     bias = [shot for shot in plan.shots if shot.role == "bias"]
     flats = [shot for shot in plan.shots if shot.role == "flat"]

@@ -78,6 +78,7 @@ def test_exposure_ratio_is_exactly_the_factor(protocol: CaptureProtocol, metered
     [
         ({"base_iso": 0}, "base_iso must be 1 or more; found 0"),
         ({"base_iso": 100.0}, "base_iso must be a whole number, 1 or more; found 100.0"),
+        ({"repeats": 100}, "repeats must be at most 99, found 100"),
         ({"noisy_isos": (800, -1)}, "every value of noisy_isos must be 1 or more; found -1"),
         ({"noisy_isos": ()}, "noisy_isos must be a tuple of one or more positive whole numbers, found ()"),
         ({"low_light_factors": (10, 10)}, "low_light_factors must hold each value once, found 10 again"),

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from capture.camera import Shutter
-from capture.cli import main
 from capture.cli.script import gphoto_script
 from capture.plan import make_plan
 from capture.protocol import CaptureProtocol
@@ -24,7 +23,7 @@ from capture.shots import plan_calibration
 from eldata.manifest.table import load_records
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
-from tests.capture.simulated import CAMERA, SENSOR
+from tests.capture.simulated import CAMERA, SENSOR, run_capture
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -50,8 +49,8 @@ class Rig:
             path.mkdir(parents=True)
         plan.save(self.plan)
         shots = [shot for _, shot in plan.shots]
-        names = {time: "Bulb" if time.dial.startswith("bulb") else time.dial for time in CAMERA.shutter.times}
-        names |= {shot.setting: "Bulb" if "bulb" in shot.setting.dial else shot.setting.dial for shot in shots}
+        times = [*CAMERA.shutter.times, *(shot.setting for shot in shots)]
+        names = {time: "Bulb" if "bulb" in time.dial else time.dial for time in times}
         for iso, time in {(shot.iso, shot.setting) for shot in shots}:
             mosaic = np.random.default_rng(iso).integers(600, 15000, (SENSOR.height, SENSOR.width), dtype=np.uint16)
             path = self.camera / "frames" / f"{iso}_{names[time].replace('/', '-')}.dng"
@@ -68,7 +67,7 @@ class Rig:
         (self.camera / "choices" / setting).write_text("".join(f"{choice}\n" for choice in choices))
 
     def write(self, *options: str) -> str:
-        assert main(["script", str(self.plan), "-o", str(self.script), *options]) == 0
+        run_capture("script", self.plan, "-o", self.script, *options)
         return self.script.read_text(encoding="utf-8")
 
     def run(self, typed: str = ENTER) -> subprocess.CompletedProcess[str]:
@@ -90,12 +89,12 @@ def rig(tmp_path: Path) -> Rig:
     return Rig(tmp_path, small_plan("4", "2"))
 
 
-def test_from_plan_to_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_plan_to_manifest(tmp_path: Path) -> None:
     """A scene by the dial, one by the timer, and calibration frames, of the plan's second scene on."""
     camera = replace(CAMERA, shutter=Shutter.between("1/8000", "30", Fraction(1, 3), bulb_s=240))
     calibration = plan_calibration(camera, 100, (800,), Fraction(1, 2), bias_frames=4, warm=True)
     metered = {"scene-1": Fraction(4), "scene-2": Fraction(4), "scene-3": Fraction(64)}
-    plan = make_plan(camera, SMALL, metered, calibration)
+    plan = make_plan(camera, SMALL, metered, calibration).set_aperture("scene-2", Fraction(8))
     rig = Rig(tmp_path, plan)
     parts = ["--only", "scene-2", "--only", "scene-3", "--only", "calibration"]
     text = rig.write(*parts)
@@ -106,7 +105,7 @@ def test_from_plan_to_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert (done.returncode, done.stderr) == (0, "")
     # Two scenes, bias frames, flats, and bias frames with the sensor warm.
     assert done.stdout.count("Enter when ready") == 5
-    assert "scene-2\n    Metered at 4 s, ISO 100\n" in done.stdout
+    assert "scene-2\n    Metered at 4 s, ISO 100\n    Aperture f/8\n" in done.stdout
     assert "Bias frames\n    Lens cap on, viewfinder covered, dark room\n" in done.stdout
     bulb = "--set-config bulb=1 --wait-event=64s --set-config bulb=0 --wait-event-and-download=10s"
     assert rig.calls("bulb=1") == [f"{bulb} --filename scene-3/IMG_000{n}.%C" for n in (1, 3)]
@@ -115,10 +114,8 @@ def test_from_plan_to_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str
     dialled = [f"ISO {iso}, {time} s" for iso, time in zip(set_to[::2], set_to[1::2], strict=True)]
     assert [line.replace("Bulb", "bulb 64") for line in dialled] == order
     manifest, set_folder = tmp_path / "mine.csv", tmp_path / "data"
-    capsys.readouterr()
-    arguments = [str(rig.plan), str(rig.folder), "-o", str(manifest), "--copy-to", str(set_folder), "--jobs", "1"]
-    assert main(["manifest", *arguments, *parts, "--yes"]) == 0
-    assert f"{count} of {count} shots have a file" in capsys.readouterr().out
+    arguments = (rig.plan, rig.folder, "-o", manifest, "--copy-to", set_folder, "--jobs", "1", *parts, "--yes")
+    assert f"{count} of {count} shots have a file" in run_capture("manifest", *arguments)
     for row in load_records(manifest):
         if row.scene:
             written = rig.folder / row.path.removeprefix("AcmeNocturne/")

@@ -26,13 +26,9 @@ def test_no_command_takes_it_for_whole(eldata: Cli, own: Tree, predictions: Path
     data[whole.first + 3000 : whole.first + 3000 + PAGE] = bytes(PAGE)
     path.write_bytes(data)
     manifest = own.manifest.read_bytes()
-    root = ("--root", own.root)
-    assert eldata("verify", own.manifest, *root, "--level", "metadata").code == 0
-    for command in (
-        ("verify", own.manifest, *root, "--level", "full"),
-        ("lock", own.manifest, *root),
-        ("evaluate", predictions, "--manifest", own.manifest, *root),
-    ):
+    place = own.arguments[1:]
+    assert eldata("verify", *place, "--level", "metadata").code == 0
+    for command in (("verify", *place, "--level", "full"), ("lock", *place), ("evaluate", predictions, *own.arguments)):
         outcome = eldata(*command)
         assert outcome.code == 1
         assert REFERENCE in outcome.out + outcome.err

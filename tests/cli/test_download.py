@@ -86,40 +86,34 @@ def test_yes_fetches_unpacks_and_says_what_is_next(eldata: Cli, small: server.Si
     }
 
 
-# --- parts ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def parts(small: server.Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> server.Site:
+def test_one_part_and_then_the_other(
+    eldata: Cli, small: server.Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     base = small.address.removesuffix("set.zip")
     know(tmp_path, monkeypatch, archive_at(f"{base}long.zip"), archive_at(f"{base}short.zip"))
-    return small
-
-
-def of_kind(kind: str) -> dict[str, bytes]:
-    return {name: content for name, content in FILES.items() if f"/{kind}/" in name}
-
-
-def test_one_part_and_then_the_other(eldata: Cli, parts: server.Site, data: Path) -> None:
-    parts.content = zipped(of_kind("long"))
-    outcome = eldata("download", "small", "--part", "long", "--yes")
-    assert outcome.code == 1
-    assert "3 of 6 files are in data/SID" in outcome.out
-    parts.content = zipped(of_kind("short"))
-    assert eldata("download", "small", "--part", "long", "--part", "short", "--yes").code == 0
-    assert [request["path"] for request in parts.requests] == ["/long.zip", "/short.zip"]
+    for kind, arguments, code in (("long", ["--part", "long"], 1), ("short", ["--part", "long", "--part", "short"], 0)):
+        small.content = zipped({name: content for name, content in FILES.items() if f"/{kind}/" in name})
+        outcome = eldata("download", "small", *arguments, "--yes")
+        assert outcome.code == code
+        assert ("3 of 6 files are in data/SID" in outcome.out) == (kind == "long")
+    assert [request["path"] for request in small.requests] == ["/long.zip", "/short.zip"]
 
 
 # --- --from -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "pack"), [("Sony.zip", zipped), ("download(1)", sevenzipped)])
-def test_an_archive_saved_by_hand(name: str, pack: object, eldata: Cli, small: server.Site, data: Path) -> None:
-    saved = data.parent / name
-    saved.write_bytes(pack(PACKED | {"README": b"x"}))  # type: ignore[operator]
+def test_an_archive_saved_by_hand(eldata: Cli, small: server.Site, data: Path) -> None:
+    saved = data.parent / "download(1)"
+    saved.write_bytes(sevenzipped(PACKED | {"README": b"x"}))
     outcome = eldata("download", "small", "--from", saved)
     assert (outcome.code, outcome.err) == (0, "")
-    assert f"{name}: 6 files unpacked, 0 were there already; 6 of its files are listed in the manifest" in outcome.out
+    assert (
+        "download(1): 6 files unpacked, 0 were there already; 6 of its files are listed in the manifest" in outcome.out
+    )
     assert "1 files beside the dataset's folder stay in it" in outcome.out
     assert tree(data) == {f"SID/{name}": content for name, content in FILES.items()}
     assert small.requests == []
+    (data / "SID" / next(iter(FILES))).write_bytes(b"another")
+    again = eldata("download", "small", "--from", saved)
+    assert again.code == 1
+    assert "all 6 files are in data/SID, but some differ from the archive" in again.out

@@ -57,8 +57,8 @@ def run(eldata: Cli, drv: SmallDrv, *arguments: object, code: int = 0) -> str:
 # --- the numbers, in every form ---------------------------------------------------------------------------------------
 
 
-def test_json_csv_and_tables(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
-    files = ("--csv", tmp_path / "a.csv", "--json", tmp_path / "a.json")
+def test_json_csv_tables_and_page(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    files = ("--csv", tmp_path / "a.csv", "--json", tmp_path / "a.json", "--html", tmp_path / "a.html")
     text = run(eldata, drv, predictions, *CHOSEN, *files)
     saved = load_result(tmp_path / "a.json")
     result = evaluate(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
@@ -79,14 +79,26 @@ def test_json_csv_and_tables(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_
     assert f"2 & {' & '.join(numbers)} \\\\" in latex
     assert r"\label{tab:drv-drv-rgb}" in latex
 
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert_well_formed(page)
+    text = checked(page).text
+    for words in ("soft on drv", "Complete: 2 of 2 videos", "ST-RRED by camera", "Every video", "Rescaling that was"):
+        assert words in text
+    for words in ("ISO", "Every image", "pairs"):
+        assert words not in text.rpartition("Where the numbers come from")[0]
+    # Two clips are two scenes: both are among the worst. Of each, the frame with the lowest PSNR is shown.
+    assert text.count("the frame with the lowest PSNR") == 2
+    assert page.count('data-layer="input"') == page.count('data-layer="error"') == 2
+
 
 def test_the_noisy_input(eldata: Cli, drv: SmallDrv, tmp_path: Path) -> None:
     """It equals the score of the frames themselves, saved as predictions."""
     for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
         frames = np.stack([read_rgb16(drv.data / path) for path in record.frames]).transpose(0, 3, 1, 2)
         save_clip_prediction(tmp_path / "own", record, frames)
-    text = run(eldata, drv, "--baseline", "input", *CHOSEN)
+    text = run(eldata, drv, "--baseline", "input", *CHOSEN, "--html", tmp_path / "b.html")
     assert text == run(eldata, drv, tmp_path / "own", *CHOSEN)
+    assert "The input itself on drv" in (tmp_path / "b.html").read_text(encoding="utf-8")
     baseline = evaluate(None, manifest=drv.csv, root=drv.root, ids=["0007", "0013"], baseline="input")
     assert baseline.provenance["predictions"] == "none: the input itself"
 
@@ -108,35 +120,14 @@ def test_cameras_and_flags(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_pa
     )
     whole = run(eldata, own, predictions, *CHOSEN)
     assert whole.startswith("drv, protocol drv-rgb: 2 of 2 videos, only 0007, 0013, flicker included (1)\n")
-    refused = {
-        ("--camera", "Leica"): "no clip has camera Leica; known are SonyRX100M6",
-        ("--exclude", "misaligned"): "no clip has flag misaligned; known are flicker",
-        ("--exclude", "flicker"): "no clip has all of the wanted cameras",
-    }
-    for arguments, said in refused.items():
-        ids = ("--clip", "0013") if said.startswith("no clip has all") else CHOSEN
-        message = run(eldata, own, predictions, *ids, *arguments, code=2)
-        assert said in message
+    for option, value, known in (("--camera", "Leica", "SonyRX100M6"), ("--exclude", "misaligned", "flicker")):
+        message = run(eldata, own, predictions, *CHOSEN, option, value, code=2)
+        assert f"{value}; known are {known}" in message
         assert message.count("\n") == 1
+    assert "no clip has all of" in run(eldata, own, predictions, "--clip", "0013", "--exclude", "flicker", code=2)
 
 
 # --- pages and comparisons --------------------------------------------------------------------------------------------
-
-
-def test_page(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
-    run(eldata, drv, predictions, *CHOSEN, "--html", tmp_path / "a.html")
-    page = (tmp_path / "a.html").read_text(encoding="utf-8")
-    assert_well_formed(page)
-    text = checked(page).text
-    for words in ("soft on drv", "Complete: 2 of 2 videos", "ST-RRED by camera", "Every video", "Rescaling that was"):
-        assert words in text
-    for words in ("ISO", "Every image", "pairs"):
-        assert words not in text.rpartition("Where the numbers come from")[0]
-    # Two clips are two scenes: both are among the worst. Of each, the frame with the lowest PSNR is shown.
-    assert text.count("the frame with the lowest PSNR") == 2
-    assert page.count('data-layer="input"') == page.count('data-layer="error"') == 2
-    run(eldata, drv, "--baseline", "input", *CHOSEN, "--html", tmp_path / "b.html")
-    assert "The input itself on drv" in (tmp_path / "b.html").read_text(encoding="utf-8")
 
 
 def test_compare(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
@@ -161,10 +152,6 @@ def test_compare(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) 
     assert "PSNR of 2 common videos" in page
     for form in ("markdown", "latex"):
         assert "ST-RRED" in eldata("compare", *paths, "--format", form).out
-
-
-def test_images_and_clips_do_not_compare(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
-    run(eldata, drv, predictions, *CHOSEN, "--json", tmp_path / "drv.json")
-    outcome = eldata("compare", written(tmp_path / "eld.json", result_data()), tmp_path / "drv.json")
-    assert outcome.code == 2
-    assert "eld has scores of images, drv of videos; these do not compare" in outcome.err
+    refused = eldata("compare", written(tmp_path / "eld.json", result_data()), paths[0])
+    assert refused.code == 2
+    assert "eld has scores of images, soft of videos; these do not compare" in refused.err

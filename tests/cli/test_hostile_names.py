@@ -19,21 +19,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    Run = Callable[..., tuple[int, str]]
+
 # Escape sequences of 7 and 8 bits, a turn of direction, DEL, a line separator, a return, a byte that is not UTF-8.
 STEERS = "x\x1b[31m\x9b2J\u202e\u2066\x7f\u2028\r\udcff"
 # What a stranger names may be on two lines as well; the user's own folder is not a stranger's.
 STRANGE = f"{STEERS}\nall well"
 
 
-@pytest.fixture
-def encoding() -> str:
-    """One that can hold all that must not be printed."""
-    return "utf-8"
-
-
-@pytest.fixture
-def run(encoding: str, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, str]]:
+@pytest.fixture(params=["ascii", "utf-8"])  # the latter holds all that must not be printed
+def run(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Run:
     """Run a command line in this process, with streams that refuse what their encoding lacks."""
+
+    encoding: str = request.param
 
     def call(*arguments: str | Path) -> tuple[int, str]:
         streams = [io.BytesIO(), io.BytesIO()]
@@ -62,26 +60,24 @@ def place_for_all(tmp_path: Path) -> Path:
     return folder
 
 
-def test_sets_and_predictions(run: Callable[..., tuple[int, str]], demo_tree: Path, place_for_all: Path) -> None:
+def test_sets_and_predictions(run: Run, demo_tree: Path, place_for_all: Path) -> None:
     tree = Tree(demo_tree).copy(place_for_all / "tree")
-    where = ("--root", tree.root)
+    where = ("--root", tree.root, "--jobs", "1")
     scene = next(path for path in tree.files.glob("*/*") if path.is_dir())
     stray = scene / f"{STRANGE}.dng"
     shutil.copy(next(scene.glob("*.dng")), stray)
     for level in ("quick", "full"):
-        code, text = run(
-            "eldata", "verify", tree.manifest, *where, "--level", level, "--jobs", "1", "--json", place_for_all / "v"
-        )
+        code, text = run("eldata", "verify", tree.manifest, *where, "--level", level, "--json", place_for_all / "v")
         assert code == 1
         assert "x\\x1b[31m\\x9b2J\\u202e\\u2066\\x7f\\u2028\\r\\udcff\\nall well.dng" in text
     assert json.loads((place_for_all / "v").read_text())["ok"] is False
-    assert run("eldata", "lock", tree.manifest, *where, "--jobs", "1")[0] == 1
+    assert run("eldata", "lock", tree.manifest, *where)[0] == 1
     stray.unlink()
     predictions = place_for_all / "predictions"
     place(predictions, Tree(demo_tree))  # the test's own reader knows plain names alone
     strange = predictions / f"{STRANGE}.npy"
     shutil.copy(next(predictions.rglob("*.npy")), strange)
-    more = ("--manifest", tree.manifest, *where, "--jobs", "1")
+    more = ("--manifest", tree.manifest, *where)
     code, text = run("eldata", "evaluate", predictions, *more)
     assert code == 1
     assert "\\nall well.npy: is the prediction of no noisy frame" in text
@@ -92,8 +88,7 @@ def test_sets_and_predictions(run: Callable[..., tuple[int, str]], demo_tree: Pa
     assert not has_unseen(page.read_text(encoding="utf-8"), lines=True)
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
-def test_words_of_the_command_line_and_of_files(run: Callable[..., tuple[int, str]], place_for_all: Path) -> None:
+def test_words_of_the_command_line_and_of_files(run: Run, place_for_all: Path) -> None:
     """Unknown names, and files that are wrong in a field with such a name."""
     bad = place_for_all / "bad"
     for text in (json.dumps({STRANGE: STRANGE}), json.dumps([STRANGE]), f'"{STRANGE}'):
@@ -104,14 +99,8 @@ def test_words_of_the_command_line_and_of_files(run: Callable[..., tuple[int, st
             run("eldata", words[0], *(["preds"] if words[0] == "evaluate" else []), *words[1:], *end)
         for command in ("plan", "checklist", "check"):
             run("capture", command, bad)
-    for arguments in (
-        ("info", STRANGE),
-        ("download", STRANGE),
-        ("protocols", STRANGE),
-        (STRANGE,),
-        ("verify", STRANGE),
-    ):
-        assert run("eldata", *arguments)[0] == 2
+    for command in ("info", "download", "protocols", "verify", STRANGE):
+        assert run("eldata", command, STRANGE)[0] == 2
     for root in (place_for_all, place_for_all / "none"):
         run("eldata", "info", "--root", root)
         run("eldata", "info", "eld", "--root", root)

@@ -6,10 +6,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pytest
-
 from eldata.base.files import refuse_among
 from eldata.noise.profile import CameraProfile
+from tests.cases import in_one_test
 from tests.cli.conftest import Cli, room_for
 
 if TYPE_CHECKING:
@@ -34,11 +33,11 @@ def test_a_file_that_is_read_is_not_written_by_whatever_name(eldata: Cli) -> Non
     assert "none: " in eldata("calibrate", "none", "-o", "profile.json").err  # an older profile of the same name
 
 
-@pytest.mark.parametrize("place", [".", "DemoAlpha", "DemoAlpha/scene-1"])
+@in_one_test("place", [".", "DemoAlpha", "DemoAlpha/scene-1"])
 def test_nothing_is_written_among_a_sets_own_files(place: str, eldata: Cli, tree: Tree, predictions: Path) -> None:
     """A folder of its own in the set's may be written to, unless the set is searched through for raws."""
     held, folder = sorted(tree.files.rglob("*")), tree.files / place
-    scoring = ("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root)
+    scoring = ("evaluate", predictions, *tree.arguments)
     for command in (
         (*scoring, "-o", folder),
         *((*scoring, f"--{kind}", folder / f"x.{kind}") for kind in ("csv", "json", "html")),
@@ -57,18 +56,19 @@ def test_nothing_is_written_among_a_sets_own_files(place: str, eldata: Cli, tree
 # --- before the work ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "arguments",
+@in_one_test(
+    "command",
     [
-        ["evaluate", "none", "--dataset", "eld", "--csv"],
-        ["verify", "none", "--json"],
-        ["calibrate", "none", "--html"],
-        ["manifest", "none", "-o"],
-        ["pack", "none", "-o"],
+        "evaluate none --dataset eld --csv",
+        "verify none --json",
+        "calibrate none --html",
+        "manifest none -o",
+        "pack x -o",
     ],
 )
-def test_a_place_to_write_to_is_tried_before_the_input_is_read(arguments: list[str], eldata: Cli) -> None:
-    Path("folder.csv").mkdir()
+def test_a_place_to_write_to_is_tried_before_the_input_is_read(command: str, eldata: Cli) -> None:
+    arguments = command.split()
+    Path("folder.csv").mkdir(exist_ok=True)
     problems = {
         "folder.csv": "cannot write folder.csv: is a folder, not a file",
         "no/x.csv": "cannot write no/x.csv: there is no folder no; make it first",
@@ -89,7 +89,7 @@ def test_a_place_to_write_to_is_tried_before_the_input_is_read(arguments: list[s
 def test_a_full_disk_costs_an_evaluation_neither_its_table_nor_its_other_files(
     eldata: Cli, tree: Tree, predictions: Path
 ) -> None:
-    arguments = ("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
+    arguments = ("evaluate", predictions, *tree.arguments)
     whole = eldata(*arguments, "--csv", "whole.csv")
     with room_for(2 * Path("whole.csv").stat().st_size):
         outcome = eldata(*arguments, "--json", "x.json", "--csv", "x.csv", "--html", "x.html")

@@ -14,7 +14,6 @@ from capture.cli.main import parser as capture_parser
 from eldata.cli.main import parser as eldata_parser
 from tests.cases import in_one_test
 from tests.cli.conftest import Cli, Outcome
-from tests.shared import there
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -46,35 +45,70 @@ def test_no_command_lists_the_commands(eldata: Cli) -> None:
         outcome = eldata(*arguments)
         assert (outcome.code, outcome.out) == (2, "")
         assert all(f"\n    {name} " in outcome.err for name in names)
-    assert_one_line(eldata("--jobs", "2", "verify"), "there is no option --jobs, and a command's options come after")
-    assert_one_line(eldata("demo", "--dask", "a"), "eldata demo: there is no option --dask")
 
 
 # --- wrong usage ----------------------------------------------------------------------------------------------
 
 
 @in_one_test(
-    "arguments, meant",
+    "arguments, words",
     [
-        (["frobnicate"], "there is no command 'frobnicate'; commands are"),
-        (["verfy"], "did you mean verify? See eldata --help"),
-        (["profile", "shwo"], "did you mean show? See eldata profile --help"),
-        (["evaluate", "x", "--datset", "eld"], "there is no option --datset; did you mean --dataset? See"),
+        ("frobnicate", "there is no command 'frobnicate'; commands are"),
+        ("verfy", "did you mean verify? See eldata --help"),
+        ("profile shwo", "did you mean show? See eldata profile --help"),
+        ("evaluate x --datset eld", "there is no option --datset; did you mean --dataset? See"),
+        ("--level full verify eld", "no option --level, and a command's options come after its name"),
+        ("--jobs 2 verify", "there is no option --jobs, and a command's options come after"),
+        ("demo --dask a", "eldata demo: there is no option --dask"),
+        ("verify eld --level ful", "did you mean full?"),
+        ("verify edl", "no dataset is called 'edl'; known are aim25, crvd, drv, eld"),
+        ("info sid", "it is sid-fuji and sid-sony: name one"),
+        ("pack data/SID/Sny -o x.h5", "data/SID/Sny: there is no such folder; give a folder of camera raws"),
+        ("evaluate x --dataset eld --protocol eld-uncorected", "did you mean eld-uncorrected?"),
+        ("profile show sonya7s2", "did you mean SonyA7S2?"),
+        ("profile show absent.json", "absent.json: cannot be read"),
+        ("verify eld --camera SonyA7SII", "did you mean SonyA7S2?"),
+        ("verify a.h5 b.csv", "a.h5 is checked alone"),
+        ("verify a.h5 --root x", "--root and --camera are for manifests; a store is checked whole"),
+        ("lock", "MANIFEST; see eldata lock --help"),
+        ("verify x --level deep", "'deep' (choose from quick, metadata, full)"),
+        ("lock x --jobs 0", "argument --jobs: expected a whole number of 1 or more, found '0'"),
+        ("demo x --scenes 0", "scenes must be 1 or more"),
+        ("demo x --beside dct --calibration", "--beside is about the demo that scores"),
+        ("demo x --scenes 2 --calibration", "--scenes is about photographs of scenes"),
+        ("demo x --without shading", "--without is about calibration frames"),
+        ("evaluate x", "one of the arguments --dataset --manifest is required"),
+        ("evaluate x --dataset eld --manifest y", "--manifest: not allowed with argument --dataset"),
+        ("evaluate --dataset eld", "one of the arguments PREDS --baseline is required"),
+        ("evaluate x --baseline input --dataset eld", "--baseline: not allowed with argument PREDS"),
+        ("evaluate x --dataset eld --protocol elf", "no protocol is called 'elf'"),
+        ("evaluate x --dataset sid-fuji --protocol pmn", "'pmn' is pmn-sid (for sid-sony) and pmn-eld"),
+        ("evaluate x --dataset eld --clip 0007", "(in Python ids=[...]) is for datasets of clips, such as drv"),
+        ("evaluate x --dataset eld --protocol drv-rgb", "'drv-rgb' scores videos, and 'eld' is a dataset of"),
+        ("evaluate x --dataset drv --protocol led", "'led' is led-sid (for sid-sony) and led-eld (for eld)"),
+        ("evaluate x --dataset drv --subset test --clip 0007", "give a subset or ids, not both"),
         (
-            ["--level", "full", "verify", "eld"],
-            "no option --level, and a command's options come after its name",
+            "protocols --dataset edl",
+            "no protocol is for dataset 'edl'; eldata info lists the datasets; did you",
         ),
-        (["verify", "eld", "--level", "ful"], "did you mean full?"),
-        (["verify", "edl"], "no dataset is called 'edl'; known are aim25, crvd, drv, eld"),
-        (["info", "sid"], "it is sid-fuji and sid-sony: name one"),
-        (["pack", "data/SID/Sny", "-o", "x.h5"], "data/SID/Sny: there is no such folder; give a folder of camera raws"),
-        (["evaluate", "x", "--dataset", "eld", "--protocol", "eld-uncorected"], "did you mean eld-uncorrected?"),
-        (["profile", "show", "sonya7s2"], "did you mean SonyA7S2?"),
-        (["verify", "eld", "--camera", "SonyA7SII"], "did you mean SonyA7S2?"),
+        ("synthesize x -o y --camera SonyA7S2 --ratio a", "expected a number or two such as 100:300, found 'a'"),
+        ("synthesize x -o y --camera SonyA7S2 --split 9", "expected two shares such as 95:5, found '9'"),
+        ("synthesize x -o y --camera SonyA7S2 --model P*+D", "component D takes real dark frames; give --dark-frames"),
+        ("synthesize x -o y --camera SonyA7S2 --dark-frames z", "--dark-frames is for component D"),
+        ("pack calibration -o x.h5 --split test", "--split, --subset and --clip are for datasets"),
+        ("pack calibration -o x.h5 --camera a --camera b", "give --camera once, or not at all"),
+        ("manifest x -o mine.txt", "-o takes a name that ends in .csv, found mine.txt"),
+        ("calibrate", "FRAMES; see eldata calibrate --help"),
+        ("calibrate x --iso 0", "argument --iso: expected a whole number of 1 or more, found '0'"),
+        ("calibrate x --crop 8", "argument --crop: expected rows and columns such as 8:-8,16:, found '8'"),
+        ("calibrate x --crop 8:a,:", "expected rows and columns such as 8:-8,16:, found '8:a,:'"),
+        ("calibrate none", "none: there is no such folder"),
+        ("calibrate none.csv", "none.csv: cannot be read"),
     ],
 )
-def test_what_was_probably_meant(arguments: list[str], meant: str, eldata: Cli) -> None:
-    assert_one_line(eldata(*arguments), meant)
+def test_wrong_usage_is_one_line(arguments: str, words: str, eldata: Cli) -> None:
+    assert_one_line(eldata(*arguments.split()), words)
+    assert not any(Path.cwd().iterdir())
 
 
 def leaves(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
@@ -99,8 +133,7 @@ def test_every_help_explains_each_option_and_ends_with_an_example_that_parses(
         for option in options:
             if option.option_strings and option.metavar == "FILE" and re.search(r"\bwrite\b", str(option.help)):
                 assert option.dest in outputs, f"{parser.prog} does not check {option.dest} before its work"
-        examples = [line.strip() for line in parser.format_help().splitlines() if line.startswith("    eldata ")]
-        examples += [line.strip() for line in parser.format_help().splitlines() if line.startswith("    capture ")]
+        examples = re.findall(r"^    ((?:eldata|capture) .*)", parser.format_help(), flags=re.MULTILINE)
         assert examples, parser.prog
         for example in examples:
             assert example.startswith(parser.prog)
@@ -108,53 +141,22 @@ def test_every_help_explains_each_option_and_ends_with_an_example_that_parses(
             assert arguments.command.startswith(parser.prog)
 
 
-@in_one_test(
-    "arguments, words",
-    [
-        (["lock"], ["MANIFEST", "eldata lock --help"]),
-        (["evaluate", "x"], ["--dataset", "--manifest"]),
-        (["evaluate", "x", "--dataset", "eld", "--manifest", "y"], ["--manifest", "--dataset"]),
-        (["verify", "x", "--level", "deep"], ["--level", "deep", "quick", "metadata", "full"]),
-        (["lock", "x", "--jobs", "0"], ["jobs", "0"]),
-        (["demo", "x", "--scenes", "0"], ["scenes", "0"]),
-    ],
-)
-def test_wrong_usage_is_one_line(arguments: list[str], words: list[str], eldata: Cli) -> None:
-    assert_one_line(eldata(*arguments), *words)
-    assert not any(Path.cwd().iterdir())
-
-
 # --- unusable input -------------------------------------------------------------------------------------------
 
 
 def test_unusable_input_is_one_line(eldata: Cli, own: Tree, predictions: Path, tmp_path: Path) -> None:
-    commands: list[list[str | Path]] = [["verify"], ["lock"], ["evaluate", predictions, "--manifest"]]
-    set_at, nowhere = own.manifest, tmp_path / "no" / "such.csv"
+    table, nowhere = own.manifest, tmp_path / "no" / "such.csv"
     root: list[str | Path] = ["--root", own.root]
+    commands: list[list[str | Path]] = [["verify"], ["lock"], ["evaluate", predictions, "--manifest"]]
     for command in commands:
         assert_one_line(eldata(*command, nowhere), str(nowhere), "cannot be read")
-        assert_one_line(eldata(*command, set_at, *root, "--camera", "Leica"), "Leica", "DemoAlpha")
+        assert_one_line(eldata(*command, table, *root, "--camera", "Leica"), "Leica", "DemoAlpha")
     for name in ("verify", "lock"):
         assert_one_line(eldata(name, tmp_path), str(tmp_path))
-    assert_one_line(eldata("evaluate", tmp_path / "none", "--manifest", set_at, *root), "none", "no such folder")
-    assert_one_line(eldata(*commands[2], set_at, "--root", tmp_path / "none"), str(tmp_path / "none"), "--root")
-    card = set_at.with_suffix(".json")
-    whole = card.read_text()
-    card.write_text('{"nonsense": 1}')
-    assert_one_line(eldata("verify", set_at, *root), str(card), "nonsense")
-    card.unlink()
-    assert_one_line(eldata("verify", set_at, *root), str(card), "card")
-    card.write_text(whole)
-    set_at.write_bytes(content := b"../" + set_at.read_bytes())
-    for command in commands:
-        assert_one_line(eldata(*command, set_at, *root), str(set_at), "line 1", "path,role")
-    assert set_at.read_bytes() == content
-
-
-def test_dataset_that_is_not_what_its_manifest_says(eldata: Cli, own: Tree, predictions: Path) -> None:
-    (own.files / "DemoAlpha/scene-1/IMG_0006.dng").unlink()
-    outcome = eldata("evaluate", predictions, "--manifest", own.manifest, "--root", own.root, "--jobs", "1")
-    assert_one_line(outcome, "DemoAlpha/scene-1/IMG_0006.dng", "expected a file, found nothing")
+    assert_one_line(eldata("evaluate", tmp_path / "none", "--manifest", table, *root), "none", "no such folder")
+    assert_one_line(eldata(*commands[2], table, "--root", tmp_path / "none"), str(tmp_path / "none"), "--root")
+    table.with_suffix(".json").unlink()
+    assert_one_line(eldata("verify", table, *root), str(table.with_suffix(".json")), "card")
 
 
 # --- --json and --csv -----------------------------------------------------------------------------------------
@@ -166,7 +168,7 @@ def test_nothing_scored_is_not_all_well_and_no_older_scores_outlive_it(
     """The problems are written. A script must not take the wrong folder for success, nor read yesterday's scores."""
     (tmp_path / "preds").mkdir()
     targets = ("--csv", tmp_path / "x.csv", "--json", tmp_path / "x.json")
-    arguments = ("--manifest", tree.manifest, "--root", tree.root, "--jobs", "1", *targets)
+    arguments = (*tree.arguments, *targets)
     assert eldata("evaluate", predictions, *arguments).code == 0
     assert (tmp_path / "x.csv").read_text().count("\n") == 13
     assert eldata("evaluate", tmp_path / "preds", *arguments).code == 1
@@ -174,29 +176,6 @@ def test_nothing_scored_is_not_all_well_and_no_older_scores_outlive_it(
     assert (len(data["problems"]), len(data["coverage"]["missing"])) == (1, 12)
     assert not (tmp_path / "x.csv").exists() or (tmp_path / "x.csv").read_text().count("\n") == 1
     assert eldata("evaluate", tmp_path / "preds", *arguments, "--allow-missing").code != 0
-
-
-# --- --root, --camera, --protocol ------------------------------------------------------------------------------
-
-
-def test_root_wins_over_the_variable_which_wins_over_data(
-    eldata: Cli, tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def folder_checked(*arguments: str | Path) -> str:
-        outcome = eldata("verify", tree.manifest, "--jobs", "1", *arguments)
-        found = there(re.search(r"\((?:no folder )?(\S+?)\)|in (\S+):", outcome.out.replace("(quick) ", "")))
-        return found[1] or found[2]
-
-    assert folder_checked() == str(Path("data") / "ELD-demo")
-    monkeypatch.setenv("ELDATA_ROOT", str(tmp_path / "variable"))
-    assert folder_checked() == str(tmp_path / "variable" / "ELD-demo")
-    assert folder_checked("--root", tree.root) == str(tree.files)
-    monkeypatch.setenv("ELDATA_ROOT", str(tree.root))
-    assert folder_checked() == str(tree.files)
-    monkeypatch.setenv("ELDATA_ROOT", "")
-    assert folder_checked() == str(Path("data") / "ELD-demo")
-    (Path.cwd() / "data").symlink_to(tree.root)
-    assert eldata("verify", tree.manifest, "--jobs", "1").code == 0
 
 
 # --- --debug --------------------------------------------------------------------------------------------------

@@ -237,10 +237,7 @@ def each_of(*steps: Callable[[], object] | None) -> None:
 
 
 def show_and_write(
-    arguments: Arguments,
-    text: Callable[[], str],
-    data: Callable[[], object],
-    *more: Callable[[], object] | None,
+    arguments: Arguments, text: Callable[[], str], data: Callable[[], object], *more: Callable[[], object] | None
 ) -> None:
     """Print a text, write the data that ``--json`` asks for, and take more steps, each as :func:`each_of` does."""
     each_of(lambda: print(text()), arguments.json and (lambda: write_json(arguments.json, data())), *more)

@@ -16,6 +16,7 @@ import csv
 import gc
 import io
 import json
+import math
 import sys
 import tomllib
 from collections import Counter
@@ -28,14 +29,13 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
 from eldata.base.files import file_problem
-from eldata.base.numbers import LARGEST_WHOLE, fraction_of, number_of, whole_of
+from eldata.base.numbers import LARGEST_WHOLE, number_of, whole_of
 from eldata.base.tables import text_of_cell
 from eldata.base.visible import NOTHING, has_unseen, in_line, named_field, shown
 from eldata.errors import ArgumentError, EldataError, FileError, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-    from fractions import Fraction
 
 Value = TypeVar("Value")
 
@@ -393,13 +393,9 @@ class Fields:
         """Return a whole number."""
         return self.parsed(name, whole_of, at_least=at_least, at_most=at_most, text=self._is_text)
 
-    def number(self, name: str, *, at_least: float | None = None, above: float | None = None) -> float:
+    def number(self, name: str, *, at_least: float = -math.inf, above: float = -math.inf) -> float:
         """Return a finite number."""
         return self.parsed(name, number_of, at_least=at_least, above=above, text=self._is_text)
-
-    def fraction(self, name: str, *, above: int | None = None, digits: int = 18) -> Fraction:
-        """Return an exact number that is given as text."""
-        return self.parsed(name, fraction_of, above=above, digits=digits)
 
     def parsed(self, name: str, parse: Callable[..., Value], **options: Any) -> Value:
         """Return ``parse(value, **options)``, whose :class:`~eldata.errors.ArgumentError` says what is wrong."""

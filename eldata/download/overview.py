@@ -131,31 +131,19 @@ class Overview:
 
 
 def _facts(card: Card) -> list[str]:
-    facts = (
-        ("licence", card.licence),
-        ("citation", card.citation),
-        ("homepage", card.homepage),
-        ("cameras", ", ".join(card.cameras)),
-        ("CFA", "bayer and xtrans" if card.cfa == "both" else card.cfa),
-        ("levels", card.levels),
-        ("protocol", card.protocol),
-        ("contents", card.contents),
-    )
+    worded = {"cameras": ", ".join(card.cameras), "CFA": "bayer and xtrans" if card.cfa == "both" else card.cfa}
+    names = ("licence", "citation", "homepage", "cameras", "CFA", "levels", "protocol", "contents")
+    facts = [(name, worded[name] if name in worded else getattr(card, name)) for name in names]
     return [line for name, text in facts if text for line in wrapped(f"{name:<11}{text}", " " * 11)]
 
 
 def _remarks(card: Card) -> list[str]:
     lines = []
-    for title, texts in (
-        ("how it is scored", card.scored),
-        ("known defects", card.known_defects),
-        ("not known", card.unknown),
-        ("sources", card.sources),
-    ):
-        if texts:
-            lines += ["", title]
-            for text in texts:
-                lines += wrapped(f"    - {text}", " " * 6)
+    remarks = {"how it is scored": card.scored, "known defects": card.known_defects, "not known": card.unknown}
+    for title, texts in (remarks | {"sources": card.sources}).items():
+        lines += ["", title] * bool(texts)
+        for text in texts:
+            lines += wrapped(f"    - {text}", " " * 6)
     return lines
 
 
@@ -185,17 +173,12 @@ def format_downloads(downloads: Iterable[Download]) -> list[str]:
 def presence_of(folder: Path, records: Iterable[FrameRecord]) -> Presence:
     """Count the listed files that are in a folder, by names and sizes alone."""
     paths = [record.path for record in records]
-    files = [matching(folder, path) if is_pattern(path) else (path,) for path in paths]
-    present = sum(any(_is_there(folder / file) for file in of_row) for of_row in files)
+    present = 0
+    for path in paths:
+        files = [folder / file for file in (matching(folder, path) if is_pattern(path) else (path,))]
+        present += any(file.is_file() and file.stat().st_size > 0 for file in files)
     patterns = sum(map(is_pattern, paths))
     return Presence(len(paths), present, patterns > 0 and (folder / STAGING).exists(), patterns)
-
-
-def _is_there(path: Path) -> bool:
-    try:
-        return path.stat().st_size > 0
-    except OSError:
-        return False
 
 
 def overview(manifest: Manifest, root: Path | str | None = None) -> Overview:

@@ -90,11 +90,7 @@ def verify(
 
 
 def _verify_dataset(
-    manifest: Manifest,
-    folder: Path,
-    cameras: Collection[str] | None,
-    level: Level,
-    workers: Workers,
+    manifest: Manifest, folder: Path, cameras: Collection[str] | None, level: Level, workers: Workers
 ) -> DatasetReport:
     records = [record for record in manifest.records if not cameras or record.camera in cameras]
     # Two datasets may share a folder and have one each in it (SID/Sony, SID/Fuji): a copy of one may lack the other.
@@ -112,12 +108,7 @@ def _verify_dataset(
 
 
 def check_files(
-    manifest: Manifest,
-    folder: Path,
-    records: Sequence[FrameRecord],
-    *,
-    level: Level,
-    workers: Workers,
+    manifest: Manifest, folder: Path, records: Sequence[FrameRecord], *, level: Level, workers: Workers
 ) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...], tuple[FileRemark, ...], dict[str, MeanLevels | None]]:
     """Check some of a manifest's files; return the problems, the records of files that are there, remarks, levels.
 

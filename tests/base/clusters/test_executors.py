@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from functools import partial
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
 
@@ -141,14 +140,6 @@ def test_work_that_cannot_travel(processes: Executor) -> None:
 
 
 @pytest.mark.kill
-def test_a_unit_that_ends_its_process_once_is_run_again(importable: None, tmp_path: Path) -> None:
-    tasks = [work.Task(number) for number in range(30)]
-    found = list(Workers(2).attempt(partial(work.end_the_process_once, tmp_path), tasks))
-    assert (tmp_path / "died").exists()
-    assert found == list(range(30))
-
-
-@pytest.mark.kill
 def test_a_unit_that_ends_every_process_is_named_and_the_rest_is_done(importable: None) -> None:
     tasks = [work.Task(number, f"{number}.dng") for number in range(30)]
     found = list(Workers(2).attempt(work.end_the_process, tasks))
@@ -156,4 +147,3 @@ def test_a_unit_that_ends_every_process_is_named_and_the_rest_is_done(importable
     assert isinstance(found[3], Failed)
     assert found[3].unit == tasks[3]
     assert found[3].reason.startswith("3.dng: worker processes died at it again and again")
-    assert "--jobs" in found[3].reason

@@ -194,11 +194,7 @@ def test_any_data_gives_values_or_our_error(data: Any) -> None:
     [
         (" ", Fields.text, ": expected a text, found ' '"),
         (NOTHING, Fields.text, ": expected a text, found nothing"),
-        (
-            "\ud800",
-            Fields.text,
-            ": expected a text without control characters and others that do not show, found '",
-        ),
+        ("\ud800", Fields.text, ": expected a text without control characters and others that do not show, found '"),
         (["a", 5], Fields.texts, "[1]: expected a text, found 5"),
         (" ", Fields.texts, ": expected a list of texts, found ' '"),
         (1, Fields.flag, ": expected true or false, found 1"),

@@ -266,12 +266,7 @@ if __name__ == "__main__":
 
 @pytest.mark.kill
 @pytest.mark.parametrize(
-    ("work", "number"),
-    [
-        ("python", signal.SIGKILL),
-        ("released", signal.SIGKILL),
-        ("python", signal.SIGTERM),
-    ],
+    ("work", "number"), [("python", signal.SIGKILL), ("released", signal.SIGKILL), ("python", signal.SIGTERM)]
 )
 def test_workers_end_with_their_parent(work: str, number: int, tmp_path: Path) -> None:
     """However it ends, and whatever they do. Only the parent gets the signal, as from kill or a scheduler."""

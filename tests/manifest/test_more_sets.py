@@ -13,12 +13,7 @@ import pytest
 from eldata import evaluate
 from eldata.datasets import PairDataset
 from eldata.errors import ManifestError
-from eldata.manifest.catalogue import (
-    carded_names,
-    shipped_card,
-    shipped_manifest,
-    shipped_names,
-)
+from eldata.manifest.catalogue import carded_names, shipped_card, shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice
 from manifests.published_lrid import bursts_from_infos
 

@@ -314,13 +314,7 @@ def test_a_misnamed_file_is_named_for_what_it_is(name: str, content: bytes, prob
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [
-        ("cfa", "RGBG"),
-        ("black_level_dn", [1, 2]),
-        ("white_level_dn", 240),
-        ("whyte", 1),
-        ("bits", 10),
-    ],
+    [("cfa", "RGBG"), ("black_level_dn", [1, 2]), ("white_level_dn", 240), ("whyte", 1), ("bits", 10)],
 )
 def test_a_card_that_misstates_them_is_refused(field: str, value: object, tmp_path: Path) -> None:
     path = own_set(tmp_path, "npy", FACTS).with_suffix(".json")

@@ -6,12 +6,7 @@ from functools import cache
 from itertools import product
 from typing import TYPE_CHECKING
 
-from eldata.evaluation.published import (
-    NOISY_INPUT,
-    PublishedRow,
-    published_rows,
-    shipped_published,
-)
+from eldata.evaluation.published import NOISY_INPUT, PublishedRow, published_rows, shipped_published
 from eldata.manifest.catalogue import Manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice
 from eldata.protocols import PROTOCOLS

@@ -20,14 +20,7 @@ from hypothesis import strategies as st
 from eldata.base.files import sha256_of
 from eldata.base.tables import cell_of_text, text_of_cell
 from eldata.errors import ManifestError
-from eldata.manifest.table import (
-    COLUMNS,
-    ROLES,
-    load_records,
-    load_table,
-    number_text,
-    save_records,
-)
+from eldata.manifest.table import COLUMNS, ROLES, load_records, load_table, number_text, save_records
 from eldata.records import FrameRecord
 from tests.cases import in_one_test
 

@@ -124,10 +124,7 @@ def test_a_bounded_number_of_units_is_in_flight(workers: int | None, in_flight: 
 def test_a_broken_pool_of_the_callers_is_an_error_that_names_the_unit(importable: None) -> None:
     tasks = [work.Task(3, "three.dng"), *(work.Task(number) for number in range(4, 40))]
     message = r"^the executor cannot run the work on three\.dng: BrokenProcessPool"
-    with (
-        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
-        pytest.raises(EldataError, match=message),
-    ):
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool, pytest.raises(EldataError, match=message):
         list(Workers(executor=pool).run(work.end_the_process, tasks))
 
 

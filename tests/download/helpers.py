@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import io
-import json
 import zipfile
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -54,11 +53,12 @@ def zipped(files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes
     return buffer.getvalue()
 
 
-def sevenzipped(files: dict[str, bytes]) -> bytes:
+def sevenzipped(files: dict[str, bytes], *, encoded_header: bool = True) -> bytes:
     import py7zr
 
     buffer = io.BytesIO()
     with py7zr.SevenZipFile(buffer, "w") as archive:
+        archive.set_encoded_header_mode(encoded_header)
         for name, content in files.items():
             archive.writestr(content, name)
     return buffer.getvalue()
@@ -106,8 +106,3 @@ def small_card(*downloads: Download) -> Card:
         known_defects=("Frame 3 is blurred.",),
         sources=("The paper.",),
     )
-
-
-def note_of(target: Path) -> dict[str, object]:
-    data: dict[str, object] = json.loads(target.with_name(f"{target.name}.part.json").read_text())
-    return data

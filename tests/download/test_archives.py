@@ -10,6 +10,7 @@ import stat
 import struct
 import zipfile
 import zlib
+from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
@@ -29,23 +30,11 @@ FILES = contents()
 NAMES = tuple(sorted(FILES))
 
 
-def plain_sevenzip(files: dict[str, bytes]) -> bytes:
-    """A 7z archive whose header is not packed."""
-    import py7zr
-
-    buffer = io.BytesIO()
-    with py7zr.SevenZipFile(buffer, "w") as archive:
-        archive.set_encoded_header_mode(False)
-        for name, content in files.items():
-            archive.writestr(content, name)
-    return buffer.getvalue()
-
-
 PACKERS: dict[str, Callable[[dict[str, bytes]], bytes]] = {
     "zip": zipped,
     "zip-stored": lambda files: zipped(files, zipfile.ZIP_STORED),
     "7z": sevenzipped,
-    "7z-plain": plain_sevenzip,
+    "7z-plain": partial(sevenzipped, encoded_header=False),
 }
 
 
@@ -104,12 +93,10 @@ def test_what_differs_is_left_alone(change: str, tmp_path: Path) -> None:
     assert place.is_symlink() == (change == "link")
 
 
-@pytest.mark.parametrize("link", ["Sony/short"])
-def test_a_link_that_leads_out_is_not_followed(link: str, tmp_path: Path) -> None:
+def test_a_link_that_leads_out_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "outside").mkdir()
-    place = tmp_path / "SID" / link
-    place.parent.mkdir(parents=True, exist_ok=True)
-    place.symlink_to(tmp_path / "outside")
+    (tmp_path / "SID" / "Sony").mkdir(parents=True)
+    (tmp_path / "SID" / "Sony" / "short").symlink_to(tmp_path / "outside")
     with pytest.raises(ManifestError, match="leads outside"):
         unpack(save(tmp_path, zipped(FILES)), tmp_path / "SID")
     assert list((tmp_path / "outside").iterdir()) == []
@@ -142,29 +129,19 @@ def with_mode(mode: int) -> bytes:
     return buffer.getvalue()
 
 
-def encrypted() -> bytes:
+def packed_by(method: int, flags: int = 0) -> bytes:
     content = bytearray(zipped({"a": b"x"}))
     for mark, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
-        content[content.index(mark) + offset] |= 1
+        struct.pack_into("<HH", content, content.index(mark) + offset, flags, method)
     return bytes(content)
 
 
-def packed_by(method: int) -> bytes:
-    content = bytearray(zipped({"a": b"x"}))
-    for mark, offset in ((b"PK\x03\x04", 8), (b"PK\x01\x02", 10)):
-        struct.pack_into("<H", content, content.index(mark) + offset, method)
-    return bytes(content)
-
-
-def twice() -> bytes:
-    content = zipped({"a1": b"x", "a2": b"y"})
-    return content.replace(b"a2", b"a1")
-
-
-def renamed(content: bytes, old: str, new: str) -> bytes:
-    """A 7z archive with a member's name changed in its plain header, and the header's checksums made right again."""
+def renamed(name: str) -> bytes:
+    """A 7z archive whose member got this name of ten letters in its plain header, its checksums mended."""
+    content = sevenzipped({"aa/bb/evil": b"x" * 50}, encoded_header=False)
     offset, size, _ = struct.unpack_from("<QQL", content, 12)
-    header = content[32 + offset : 32 + offset + size].replace(old.encode("utf-16le"), new.encode("utf-16le"))
+    header = content[32 + offset : 32 + offset + size]
+    header = header.replace("aa/bb/evil".encode("utf-16le"), name.encode("utf-16le"))
     start = struct.pack("<QQL", offset, size, zlib.crc32(header))
     return content[:8] + struct.pack("<L", zlib.crc32(start)) + start + content[32 : 32 + offset] + header
 
@@ -184,14 +161,14 @@ OUTSIDE = ("../evil", "Sony/../../evil", "/etc/evil", "C:/evil", "..\\evil", "So
         (packed_by(9), ["method (9)", "by hand (7z x)"]),
         (packed_by(12), ["method (12)", "by hand (7z x)"]),
         (packed_by(14), ["method (14)", "by hand (7z x)"]),
-        (encrypted(), ["is encrypted"]),
+        (packed_by(8, flags=1), ["is encrypted"]),
         (with_mode(stat.S_IFLNK), ["'Sony/a'", "a link"]),
         (with_mode(stat.S_IFIFO), ["'Sony/a'", "a device"]),
-        (twice(), ["would be one file"]),
+        (zipped({"a1": b"x", "a2": b"y"}).replace(b"a2", b"a1"), ["would be one file"]),
         (zipped({"n/" * 30_000 + "a": b"x"}), ["more than"]),
         (zipped({"Sony/" + "n" * 300: b"x"}), ["more than 255 characters"]),
-        (renamed(plain_sevenzip({"aa/bb/evil": b"x" * 50}), "aa/bb/evil", "../../evil"), ["'..' part"]),
-        (renamed(plain_sevenzip({"aa/bb/evil": b"x" * 50}), "aa/bb/evil", "/a/bb/evil"), ["absolute"]),
+        (renamed("../../evil"), ["'..' part"]),
+        (renamed("/a/bb/evil"), ["absolute"]),
         *((zipped({"Sony/good": b"x", name: b"x"}), ["by hand"]) for name in OUTSIDE),
         *(
             (zipped({first: b"x", second: b"y"}), ["would be one file", repr(first)])

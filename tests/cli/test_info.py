@@ -26,7 +26,7 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         Download("https://drive.google.com/open?id=1", None, "a mirror", about="25 GB"),
     )
     shelf = make_shelf(tmp_path / "shelf", *downloads)
-    monkeypatch.setattr(catalogue, "shipped_folder", lambda: shelf.folder)
+    monkeypatch.setattr(catalogue, "shipped_folder", lambda: shelf)
     return tmp_path / "cwd" / "data" / "SID"
 
 

@@ -2,14 +2,12 @@ from __future__ import annotations
 
 import io
 import zipfile
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eldata.download.fetching import RangeDownloader, fetch_archive
 from eldata.manifest.card import CameraCard, Card, Download, save_card
-from eldata.manifest.catalogue import Manifest, load_manifest
 from eldata.manifest.table import save_records
 from eldata.records import FrameRecord
 
@@ -69,25 +67,15 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@dataclass(frozen=True)
-class Shelf:
-    """A folder of manifests such as the shipped ones, with one small dataset called ``small``."""
-
-    folder: Path
-
-    @property
-    def manifest(self) -> Manifest:
-        return load_manifest(self.folder / "small.csv")
-
-
-def make_shelf(folder: Path, *downloads: Download) -> Shelf:
+def make_shelf(folder: Path, *downloads: Download) -> Path:
+    """Write a folder of manifests such as the shipped ones, with one small dataset called ``small``."""
     folder.mkdir(parents=True, exist_ok=True)
     records = [
         FrameRecord(path=name, role="noisy", camera="SonyA7S2", scene="1", split="test") for name in file_names()
     ]
     save_records(folder / "small.csv", records)
     save_card(folder / "small.json", small_card(*downloads))
-    return Shelf(folder)
+    return folder
 
 
 def small_card(*downloads: Download) -> Card:

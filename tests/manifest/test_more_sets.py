@@ -80,17 +80,12 @@ def test_lrid_says_which_scenes_the_sensor_was_warm_in() -> None:
     """The numbers that hot_check has: 8, 14 and 25 scenes; the two outdoor ones that are scored among them."""
     records = shipped_manifest("lrid").records
     warm = {record.scene for record in records if record.role == "noisy" and "warm-sensor" in record.flags}
-    assert Counter(str(scene).partition("-")[0] for scene in warm) == {
-        "indoor_x5": 8,
-        "indoor_x3": 14,
-        "outdoor_x3": 25,
-    }
+    parts = Counter(str(scene).partition("-")[0] for scene in warm)
+    assert parts == {"indoor_x5": 8, "indoor_x3": 14, "outdoor_x3": 25}
     scored = {record.scene for record in records if record.split in ("eval", "test")}
     assert warm & scored == {"outdoor_x3-022", "outdoor_x3-051"}
-    assert {r.path: r.flags for r in records if r.role == "bias"} == {
-        "bias/6400/*.dng": (),
-        "bias-hot/6400/*.dng": ("warm-sensor",),
-    }
+    biases = {record.path: record.flags for record in records if record.role == "bias"}
+    assert biases == {"bias/6400/*.dng": (), "bias-hot/6400/*.dng": ("warm-sensor",)}
     assert all("nominal-ratio" in record.flags for record in records if record.role == "noisy")
 
 

@@ -102,19 +102,16 @@ def test_rows_say_what_their_names_say(name: str) -> None:
         assert reference.exposure_s / record.exposure_s == record.ratio, "with the true times the cap changes nothing"
 
 
-@pytest.mark.parametrize(
-    ("name", "path", "iso"),
-    [
-        ("sid-sony", "Sony/short/00001_00_0.04s.ARW", 200),
-        ("sid-sony", "Sony/short/10172_09_0.1s.ARW", 160),
-        ("sid-sony", "Sony/long/00207_00_10s.ARW", 25600),
-        ("sid-fuji", "Fuji/short/00001_03_0.1s.RAF", 1000),
-        ("sid-fuji", "Fuji/long/20015_00_10s.RAF", 1000),
-    ],
-)
-def test_some_rows_of_the_official_lists(name: str, path: str, iso: int) -> None:
-    (record,) = [record for record in shipped_manifest(name).records if record.path == path]
-    assert record.iso == iso
+def test_some_rows_of_the_official_lists() -> None:
+    isos = {
+        "Sony/short/00001_00_0.04s.ARW": 200,
+        "Sony/short/10172_09_0.1s.ARW": 160,
+        "Sony/long/00207_00_10s.ARW": 25600,
+        "Fuji/short/00001_03_0.1s.RAF": 1000,
+        "Fuji/long/20015_00_10s.RAF": 1000,
+    }
+    records = [record for name in NAMES for record in shipped_manifest(name).records]
+    assert {record.path: record.iso for record in records if record.path in isos} == isos
 
 
 def test_flags() -> None:

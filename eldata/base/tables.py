@@ -256,11 +256,6 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection
     return f"<table>{head}<tbody>{body}</tbody></table>{_count_more(len(rows))}"
 
 
-def facts(rows: Sequence[tuple[str, str]]) -> str:
-    """Return a table of names and values."""
-    return table((), rows, left=(0, 1))
-
-
 def picture(jpeg: bytes, alt: str) -> str:
     """Return a JPEG in the page itself, described in words by its caption."""
     data = base64.b64encode(jpeg).decode("ascii")

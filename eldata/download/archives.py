@@ -162,9 +162,10 @@ def unpack_archive(path: Path, members: Iterable[Member], targets: Mapping[str, 
             shutil.rmtree(staging)
         staging.mkdir()
         with _name_damage(path), progress_bar(f"unpacking {path.name}", missing_bytes) as bar:
-            for name, staged in _extract(path, new, staging, bar) if new else ():
+            for name, staged in _extract(path, new, staging) if new else ():
                 places[name].parent.mkdir(parents=True, exist_ok=True)
                 staged.rename(places[name])
+                bar.update(size_of[name])
         shutil.rmtree(staging)
     except OSError as error:
         advice = "files unpacked before are whole, and the same command goes on"
@@ -174,14 +175,13 @@ def unpack_archive(path: Path, members: Iterable[Member], targets: Mapping[str, 
     return written, same_size, differing
 
 
-def _extract(path: Path, names: Sequence[str], staging: Path, bar: tqdm[Any]) -> Iterator[tuple[str, Path]]:
+def _extract(path: Path, names: Sequence[str], staging: Path) -> Iterator[tuple[str, Path]]:
     """Yield members' names and where they have come out."""
     form = read_format(path)
     if form == "zip":
         with zipfile.ZipFile(path) as archive:
             for name in names:
                 yield name, Path(archive.extract(name, staging))
-                bar.update(archive.getinfo(name).file_size)
     elif form == "7z":
         with _open_seven_zip(path) as archive:
             archive.extract(staging, names)

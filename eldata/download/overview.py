@@ -100,7 +100,6 @@ class Overview:
         return card | {
             "manifest": self.manifest and str(self.manifest.path),
             "folder_on_disk": self.manifest and str(self.folder),
-            "places": card["downloads"],
             "presence": there and asdict(there) | {"complete": there.complete},
             "verify": self.manifest and self.verify_command,
         }

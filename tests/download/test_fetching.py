@@ -20,6 +20,7 @@ from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from tests.cases import in_one_test
 from tests.download import server
 from tests.download.helpers import HASTY, contents, fetch, noise, tree, zipped
+from tests.syncing import OnDisk
 from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
@@ -68,10 +69,12 @@ def part_of(target: Path) -> Path:
 # --- connections that break -------------------------------------------------------------------------------------------
 
 
-def test_a_broken_download_goes_on(site: server.Site, target: Path) -> None:
+def test_a_broken_download_goes_on(site: server.Site, target: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """More often than it may without progress; no byte is sent twice but what a break loses; the hash is compared."""
+    disk = OnDisk(monkeypatch)
     site.then(*[server.breaking_after(16_384)] * 8, server.serve)
     fetched(site, target, sha256=SHA256)
+    assert disk.named[target.name], "it is on the disk before it gets its name"
     assert site.ranges == [None, *(f"bytes={16_384 * n}-" for n in range(1, 9))]
     assert {request.get("if-range") for request in site.requests[1:]} == {'"one"'}
     assert {request["accept-encoding"] for request in site.requests} == {"identity"}

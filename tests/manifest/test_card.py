@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,9 +21,10 @@ from eldata.manifest.card import (
     load_card,
     save_card,
 )
-from eldata.manifest.catalogue import load_manifest
+from eldata.manifest.catalogue import load_manifest, save_manifest
 from eldata.raw.stated import MosaicFacts
 from tests.cases import in_one_test
+from tests.syncing import OnDisk
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -157,3 +159,18 @@ def test_a_lost_row_is_noticed(tree: Tree) -> None:
     tree.csv.write_text("".join(lines[:-2] + lines[-1:]), encoding="utf-8")
     with pytest.raises(ManifestError, match="the card expects"):
         load_manifest(tree.csv)
+
+
+def test_rows_are_on_the_disk_before_the_card_gets_its_name(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And they get theirs last: where the rows are the new ones, so is the card."""
+    disk, renamed = OnDisk(monkeypatch), []
+    rename = os.replace
+
+    def replace_file(source: Path, target: Path) -> None:
+        renamed.append((target.suffix, [disk.has(part) for part in tree.csv.parent.glob(".*.csv.eldata.part")]))
+        rename(source, target)
+
+    monkeypatch.setattr(os, "replace", replace_file)
+    manifest = tree.manifest
+    save_manifest(tree.csv, replace(manifest.card, version="2"), manifest.records)
+    assert renamed == [(".json", [True]), (".csv", [True])]

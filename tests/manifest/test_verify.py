@@ -166,6 +166,19 @@ def test_one_thing_wrong_is_named_once(
 # --- presence -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("index", [0, -1])
+def test_a_folder_of_another_name_is_known_by_any_of_its_files(index: int, pristine: Tree, tmp_path: Path) -> None:
+    manifest = pristine.manifest
+    for name in ("other", "another"):
+        file = tmp_path / name / manifest.records[index].path
+        file.parent.mkdir(parents=True)
+        file.touch()
+        if name == "other":
+            assert manifest.folder(tmp_path) == tmp_path / name
+    with pytest.raises(ManifestError, match="each of these folders does"):
+        manifest.folder(tmp_path)
+
+
 @pytest.mark.parametrize(("name", "folder"), [("eld", "ELD"), ("sid-fuji", "SID/Fuji")])
 def test_an_absent_dataset_is_named_once_and_is_no_problem(name: str, folder: str, tmp_path: Path) -> None:
     """Who verifies a folder of manifests does not have every dataset, and SID's Sony half may be there alone."""

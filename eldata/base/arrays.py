@@ -112,7 +112,7 @@ def _name_problems(path: Path, error: type[FileError], advice: str) -> Iterator[
 
 
 def _read_in_steps(path: Path, name: str) -> Generator[Any, None, None]:
-    """Yield what the file's header declares, then the array."""
+    """Yield the header of the file, then its array."""
     suffix = path.suffix.lower()
     with path.open("rb") as file:
         beginning = file.read(6)

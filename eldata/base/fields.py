@@ -153,7 +153,9 @@ class TextFile:
             The file's, as :meth:`text` raises it; or if it is not complete JSON, uses a name twice or a constant that
             JSON does not have, is nested too deeply, or is not an object.
         """
-        return self._parse("JSON", partial(json.loads, object_pairs_hook=_once, parse_constant=_refuse_constant))
+        return self._parse(
+            "JSON", partial(json.loads, object_pairs_hook=_build_object, parse_constant=_refuse_constant)
+        )
 
     def toml(self) -> Fields:
         """Return the TOML file's content.
@@ -224,7 +226,7 @@ def _refuse_constant(name: str) -> float:
     raise ValueError(f"it holds {name}, expected finite numbers")
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _build_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return a JSON object; refuse one with a name twice, which the grammar allows."""
     data = dict(pairs)
     if len(data) < len(pairs):
@@ -398,7 +400,7 @@ class Fields:
         return self.parsed(name, number_of, at_least=at_least, above=above, text=self._is_text)
 
     def parsed(self, name: str, parse: Callable[..., Value], **options: Any) -> Value:
-        """Return ``parse(value, **options)``, whose :class:`~eldata.errors.ArgumentError` says what is wrong."""
+        """Return ``parse(value, **options)``; its :class:`~eldata.errors.ArgumentError` becomes the file's error."""
         try:
             return parse(self.data.get(name, NOTHING), **options)
         except ArgumentError as error:

@@ -92,9 +92,9 @@ def is_hidden(relative: str) -> bool:
 
 
 def visible_below(folder: Path, *, deep: bool = True) -> list[Path]:
-    """List what is not hidden below a folder, sorted: files, folders, and links, which are not followed.
+    """List the files, folders and links below a folder, sorted, but for hidden ones; links are not followed.
 
-    With what is hidden, all that lies below it is passed over. A folder that is not there holds nothing.
+    All below a hidden folder is passed over. A missing folder holds nothing.
 
     Raises
     ------
@@ -230,7 +230,7 @@ _LEFTOVER = re.compile(r"\..*\.(eldata|[0-9a-f]{16})\.part", re.DOTALL)
 
 @contextmanager
 def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
-    """Yield a new file beside ``path`` and its path, to be renamed; it is removed unless that was done.
+    """Yield a new file in the folder of ``path``, and its path; it is removed unless the caller renames it.
 
     Its lock, held as long as it is open, tells it from what a dead process left; that is removed first. Where another
     process writes to the same ``path``, it gets a name of its own. Without locks (Windows, some network disks) nothing

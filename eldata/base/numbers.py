@@ -104,7 +104,7 @@ def _fraction(text: str, digits: int) -> Fraction | None:
 
 
 def whole_of(source: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE, text: bool = True) -> int:
-    """Take a whole number: a text of decimal digits or, without ``text``, an int as JSON has it.
+    """Read a whole number: a text of decimal digits or, without ``text``, an int as JSON has it.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def whole_of(source: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE,
 
 
 def number_of(source: object, *, at_least: float = -math.inf, above: float = -math.inf, text: bool = True) -> float:
-    """Take a finite number: a text such as ``0.5`` or ``1e-05`` or, without ``text``, a number as JSON has it.
+    """Read a finite number: a text such as ``0.5`` or ``1e-05`` or, without ``text``, a number as JSON has it.
 
     Raises
     ------

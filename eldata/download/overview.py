@@ -1,4 +1,4 @@
-"""What is known about a dataset, and how much of it is on the disk: the content of `eldata info`."""
+"""The content of `eldata info`: the facts about a dataset, and how much of it is on the disk."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ class Presence:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """What is known about a dataset, and what is on the disk below ``root``.
+    """The facts about a dataset, and how much of it is on the disk below ``root``.
 
-    Of one whose files no public text lists, that is its ``card`` alone: it has no ``manifest`` and no ``presence``.
+    A dataset whose files no public text lists has its ``card`` alone: no ``manifest`` and no ``presence``.
     """
 
     card: Card
@@ -82,20 +82,20 @@ class Overview:
 
     @property
     def next_step(self) -> str:
-        """What to do next: get the files, check them, or list one's own."""
+        """The next step: get the files, check them, or list one's own."""
         if self.presence is None:
             return "list your copy of camera raws: eldata manifest FOLDER -o mine.csv (docs/adding-a-dataset.md)"
         return self.verify_command if self.presence.complete else self.download_command
 
     @property
     def row(self) -> tuple[str, ...]:
-        """Its line in the table of all: name, files, size, what is there, title."""
+        """The dataset's line in the table of all: name, files, size, state, title."""
         card, there = self.card, self.presence
         files, state = ("not listed", "card alone") if there is None else (there.count_text, str(there))
         return card.name, files, _size(card), state, card.title
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON types; what only a manifest knows is ``None``."""
+        """Return the facts as plain JSON types; without a manifest, its facts are ``None``."""
         card, there = asdict(self.card), self.presence
         return card | {
             "manifest": self.manifest and str(self.manifest.path),
@@ -105,7 +105,7 @@ class Overview:
         }
 
     def format_text(self) -> str:
-        """Return it as text for one dataset."""
+        """Return all facts as text."""
         card, listed = self.card, "card" if self.manifest is None else "manifest"
         lines = [f"{card.name}: {card.title} ({listed} version {card.version})", "", *_facts(card), *self._files()]
         lines += ["", "where to get it", *format_downloads(card.downloads)]

@@ -6,7 +6,7 @@ from functools import cache
 from itertools import product
 from typing import TYPE_CHECKING
 
-from eldata.evaluation.published import NOISY_INPUT, PublishedRow, published_rows, shipped_published
+from eldata.evaluation.published import PublishedRow, published_rows, shipped_published
 from eldata.manifest.catalogue import Manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice
 from eldata.protocols import PROTOCOLS
@@ -194,9 +194,3 @@ def test_which_protocol_is_which() -> None:
         *product(["chen2018-retests"], ["issue 45", "issue 52", "issue 120"]),
     }
     assert uncertain == {*whole, ("feng2024", "results"), ("feng2023", "results"), ("li2025", "1")}
-    single = {(row.source, row.method) for row in ROWS if not row.protocols and (row.source, row.table) not in whole}
-    assert single == {
-        ("feng2024", NOISY_INPUT),
-        *product(["feng2023"], ["Starlight", "LLD"]),
-        *product(["li2025"], ["LED", "LLD"]),
-    }

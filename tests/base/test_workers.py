@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
@@ -67,14 +67,18 @@ def test_what_is_no_workers(given: Any, said: str) -> None:
 
 
 class Dying(Processes):
-    """Runs calls in this process; the worker of the unit 3 is lost some times."""
+    """Runs calls in two threads; the worker of the unit 3 is lost some times, at once."""
 
     def __init__(self, times: int) -> None:
-        self._max_workers, self.times, self.checks = 1, times, 0
+        self._max_workers, self.times, self.checks, self.beside = 1, times, 0, 0
+        self.pool, self.others = ThreadPoolExecutor(2), list[Future[Any]]()
 
     def submit(self, call: Any, /) -> Future[Any]:
-        future: Future[Any] = Future()
-        if call.args[1].number == 3 and self.times > 0:
+        if call.args[1].number != 3:
+            self.others.append(self.pool.submit(lambda: (time.sleep(0.01), call())[1]))
+            return self.others[-1]
+        self.beside, future = sum(not other.done() for other in self.others), Future[Any]()
+        if self.times > 0:
             self.times -= 1
             future.set_exception(BrokenProcessPool())
         else:
@@ -91,7 +95,8 @@ def test_a_unit_whose_worker_died_is_tried_once_more(times: int) -> None:
     executor = Dying(times)
     tasks = [Task(number, f"{number}.dng") for number in range(20)]
     outcomes = list(Workers(executor=executor).attempt(attrgetter("number"), tasks))
-    assert (executor.times, executor.checks) == (0, 1)
+    executor.pool.shutdown()
+    assert (executor.times, executor.checks, executor.beside) == (0, 1, 0), "alone, at last"
     if times == 2:
         failed = outcomes[3]
         assert isinstance(failed, Failed)

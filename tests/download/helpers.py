@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,18 +80,7 @@ def make_shelf(folder: Path, *downloads: Download) -> Path:
 
 
 def small_card(*downloads: Download) -> Card:
-    return Card(
-        name="small",
-        title="Small set",
-        version="1.0",
-        folder="SID",
-        citation="A. Author, A Paper, 2018",
-        licence="MIT",
-        homepage="https://example.org/small",
-        cfa="bayer",
-        cameras={"SonyA7S2": CameraCard(("ILCE-7SM2",))},
-        counts={"noisy": len(file_names())},
-        downloads=downloads,
-        known_defects=("Frame 3 is blurred.",),
-        sources=("The paper.",),
-    )
+    texts = ("A. Author, A Paper, 2018", "MIT", "https://example.org/small", "bayer")
+    cameras, counts = {"SonyA7S2": CameraCard(("ILCE-7SM2",))}, {"noisy": len(file_names())}
+    card = Card("small", "Small set", "1.0", "SID", *texts, cameras, counts, downloads=downloads)
+    return replace(card, known_defects=("Frame 3 is blurred.",), sources=("The paper.",))

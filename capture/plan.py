@@ -17,7 +17,7 @@ from capture.protocol import CaptureProtocol
 from capture.shots import CalibrationPlan, ScenePlan, Shot, check_isos, plan_calibration, plan_scene, sum_duration_s
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import write_json
-from eldata.base.numbers import counted
+from eldata.base.numbers import counted, fraction_of
 from eldata.base.visible import shown
 
 if TYPE_CHECKING:
@@ -295,7 +295,7 @@ def _read_scene(fields: Fields, camera: CameraDescription, protocol: CaptureProt
     name, notes = fields.text("name"), fields.texts("notes", unseen=True)
     scene = plan_scene(camera, protocol, name, fields.parsed("metered_s", parse_seconds), notes)
     _check_shots(fields, scene.shots)
-    return replace(scene, aperture=fields.optional("aperture", fields.fraction, above=0))
+    return replace(scene, aperture=fields.optional("aperture", fields.parsed, parse=fraction_of, above=0))
 
 
 def _read_calibration(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> CalibrationPlan:

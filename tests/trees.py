@@ -157,20 +157,12 @@ def build_published_tree(manifest: Manifest, folder: Path) -> None:
     what their nominal ratio asks for; frames flagged ``inexact-ratio`` are 1/16 off, as the published one is. Equal
     frames are one file under several names (hard links), which saves time and says nothing.
     """
-    height, width = 48, 64
-    mosaic = np.random.default_rng(1).integers(600, 15000, (height, width), dtype=np.uint16)
+    mosaic = np.random.default_rng(1).integers(600, 15000, (48, 64), dtype=np.uint16)
     record_of = {record.path: record for record in manifest.records}
 
     def write(record: FrameRecord) -> None:
-        sensor = Sensor(
-            make="Maker",
-            model=manifest.card.cameras[record.camera].models[-1],
-            cfa=((0, 1), (3, 2)),
-            black_level_dn=(512.0,) * 4,
-            white_level_dn=16383.0,
-            height=height,
-            width=width,
-        )
+        model = manifest.card.cameras[record.camera].models[-1]
+        sensor = Sensor("Maker", model, ((0, 1), (3, 2)), (512.0,) * 4, 16383.0, *mosaic.shape)
         write_dng(folder / record.path, mosaic, sensor, _exposure_of(record, record_of))
 
     write_each_once(folder, manifest.records, lambda one: (one.camera, _exposure_of(one, record_of)), write)

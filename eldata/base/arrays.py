@@ -112,23 +112,15 @@ def _name_problems(path: Path, error: type[FileError], advice: str) -> Iterator[
 
 
 def _read_in_steps(path: Path, name: str) -> Generator[Any, None, None]:
-    """Yield what the file's header declares, then the array."""
+    """Yield the header of the file, then its array."""
     suffix = path.suffix.lower()
-    for other, beginning, advice in _MISNAMED:
-        if suffix == other and _begins_with(path, beginning):
-            raise FileError(path, advice)
-    return _READERS.get(suffix, _read_tiff)(path, name)
-
-
-_MISNAMED = (
-    (".mat", b"\x89HDF", "is HDF5 without MATLAB's header: name it .h5"),
-    (".h5", b"MATLAB", "is a MATLAB file: name it .mat"),
-)
-
-
-def _begins_with(path: Path, beginning: bytes) -> bool:
     with path.open("rb") as file:
-        return file.read(len(beginning)) == beginning
+        beginning = file.read(6)
+    if suffix == ".mat" and beginning.startswith(b"\x89HDF"):
+        raise FileError(path, "is HDF5 without MATLAB's header: name it .h5")
+    if suffix == ".h5" and beginning == b"MATLAB":
+        raise FileError(path, "is a MATLAB file: name it .mat")
+    return _READERS.get(suffix, _read_tiff)(path, name)
 
 
 def _first_line(error: Exception) -> str:
@@ -184,90 +176,60 @@ def read_npy_header(file: IO[bytes]) -> Declared:
     return Declared(shape, values)
 
 
-def read_npy(file: IO[bytes], size: int, check: Callable[[Declared], None]) -> NDArray[Any]:
-    """Read an array of numbers, in the file's byte order and order of values.
-
-    Parameters
-    ----------
-    file
-        At the beginning of the .npy file; it can seek.
-    size
-        Bytes of the .npy file.
-    check
-        Is called with the header before memory is reserved, and raises if that is not what is wanted.
-
-    Raises
-    ------
-    NpyError
-        If it is not a .npy file, does not hold numbers, or has fewer bytes than its values or more.
-    OSError
-        If it cannot be read.
-    """
-    start = file.tell()
+def _read_npy_file(file: IO[bytes], size: int) -> Generator[Any, None, None]:
+    """Yield the header and the values of a .npy file of so many bytes, which can seek."""
     header = read_npy_header(file)
-    check(header)
-    held = size - (file.tell() - start)
+    yield header
+    held = size - file.tell()
     if held != header.value_bytes:
         what = "truncated" if held < header.value_bytes else "were bytes inserted"
         raise NpyError(f"declares {header.value_bytes} bytes of values and has {held}: {what}?")
-    file.seek(start)
+    file.seek(0)
     try:
-        array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False, max_header_size=_MOST_HEADER_BYTES)
+        array = np.lib.format.read_array(file, allow_pickle=False, max_header_size=_MOST_HEADER_BYTES)
     except ValueError as error:
         raise NpyError(f"ends before its last value: truncated? ({_first_line(error)})") from error
-    return array
+    file.read(1)  # at the end of an archive's member zipfile compares the checksum
+    yield array
 
 
 def read_npz(path: Path, name: str, check: Callable[[Declared], None]) -> NDArray[Any]:
-    """Read an array of a .npz file; ``check`` as of :func:`read_npy`.
+    """Read an array of a .npz file of any name; ``check`` as for :func:`read_array`.
 
     Raises
     ------
     NpyError
-        If it is not a whole archive, there is no such member, or that is damaged.
+        If it is not a whole archive, or the member is damaged.
+    ValueError
+        If there is no such member.
     OSError
         If it cannot be read.
     """
-    if not zipfile.is_zipfile(path):
-        raise NpyError("is not a whole npz archive")
     try:
-        with zipfile.ZipFile(path) as archive:
-            member = {_npz_name(member): member for member in archive.infolist()}.get(name)
-            if member is None:
-                raise NpyError(f"holds no array {name}")
-            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise NpyError(f"compressed by method {member.compress_type}; expected numpy's savez_compressed")
-            with archive.open(member) as content:
-                array = read_npy(content, member.file_size, check)
-                content.read(1)  # at the end zipfile compares the checksum
+        with closing(_read_npz(path, name)) as steps:
+            check(next(steps))
+            array: NDArray[Any] = next(steps)
     except _DAMAGE as error:
         raise NpyError(_first_line(error)) from error
     return array
 
 
-def _npz_name(member: zipfile.ZipInfo) -> str:
-    return member.filename.removesuffix(".npy")
-
-
-def _read_npy(path: Path, name: str) -> Generator[Any, None, None]:
-    del name
+def _read_npy(path: Path, _: str) -> Generator[Any, None, None]:
     with path.open("rb") as file:
-        yield read_npy_header(file)
-        file.seek(0)
-        yield read_npy(file, path.stat().st_size, _accept)
+        yield from _read_npy_file(file, path.stat().st_size)
 
 
 def _read_npz(path: Path, name: str) -> Generator[Any, None, None]:
+    if not zipfile.is_zipfile(path):
+        raise NpyError("is not a whole npz archive")
     with zipfile.ZipFile(path) as archive:
-        members = archive.infolist()
-        chosen = _choose([_npz_name(member) for member in members], name)
-        with archive.open(next(member for member in members if _npz_name(member) == chosen)) as content:
-            yield read_npy_header(content)
-    yield read_npz(path, chosen, _accept)
-
-
-def _accept(_: Declared) -> None:
-    """Accept what was checked before."""
+        members = [(member.filename.removesuffix(".npy"), member) for member in archive.infolist()]
+        chosen = _choose([own for own, _ in members], name)
+        member = next(member for own, member in members if own == chosen)
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise NpyError(f"compressed by method {member.compress_type}; expected numpy's savez_compressed")
+        with archive.open(member) as content:
+            yield from _read_npy_file(content, member.file_size)
 
 
 # --- HDF5 and MATLAB --------------------------------------------------------------------------------------------------
@@ -331,10 +293,9 @@ _COMPRESSIONS = (1, 5, 8, 32946, 32773, 34925, 50000)
 _LARGEST_TILE = 1 << 20  # pixels, where the image is smaller
 
 
-def _read_tiff(path: Path, name: str) -> Generator[Any, None, None]:
+def _read_tiff(path: Path, _: str) -> Generator[Any, None, None]:
     import tifffile
 
-    del name
     if not tifffile.logger().handlers:  # or Python prints its remarks beside our error
         tifffile.logger().addHandler(logging.NullHandler())
     # Formats within TIFF that refer to other files are read as plain TIFF.
@@ -456,8 +417,7 @@ def _pixel_chunks(content: memoryview) -> Iterator[memoryview]:
         raise ValueError(f"{len(content) - at} bytes follow its last chunk")
 
 
-def _read_png(path: Path, name: str) -> Generator[Any, None, None]:
-    del name
+def _read_png(path: Path, _: str) -> Generator[Any, None, None]:
     yield read_png_header(path)
     yield decode_png(path.read_bytes())
 

@@ -43,7 +43,7 @@ def kernel(function: Function) -> Function:
 
 
 def _report_missing_cache() -> None:
-    """Say once, and not in each process that this one starts, that what is compiled is lost."""
+    """Warn that compiled code is lost: once, not again in each process that this one starts."""
     if os.environ.get(_REPORTED) is None:
         os.environ[_REPORTED] = "1"
         _LOG.warning(

@@ -1,14 +1,13 @@
 """What every command line of this distribution shares: help by docstrings, one line for an error, exit codes.
 
 Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 Ctrl-C; 143 SIGTERM; 141
-the reader of the output left before its end.
+the reader of the output left before its end (head, less).
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import signal
 import sys
 import threading
@@ -36,10 +35,7 @@ Arguments: TypeAlias = argparse.Namespace
 OK, PROBLEMS, UNUSABLE, CLOSED_PIPE = 0, 1, 2, 141
 _NONE_HALF = "files are written whole or not at all, so none is left half"
 _DASK_S = 10  # for a scheduler to answer
-_EXIT_CODES = (
-    "Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 Ctrl-C; 143 "
-    "SIGTERM; 141 the reader of the output left before its end (head, less)."
-)
+_EXIT_CODES = cleandoc(__doc__ or "").partition("\n\n")[2]
 
 
 # --- parsers ----------------------------------------------------------------------------------------------------------
@@ -145,7 +141,7 @@ def whole_number(at_least: int) -> Callable[[str], int]:
 def add_shared(
     parser: argparse.ArgumentParser,
     run: Callable[[Arguments], int],
-    *options: Literal["root", "cameras", "jobs", "workers"],
+    *options: Literal["root", "jobs", "workers"],
     json: bool = False,
     interrupted: str = _NONE_HALF,
 ) -> None:
@@ -154,8 +150,6 @@ def add_shared(
     ``"workers"`` are ``--jobs`` and ``--dask``; ``--debug`` is for all. ``interrupted`` says what Ctrl-C leaves;
     ``{name}`` in it is the value of that argument. ``json``: whether it takes ``--json``.
     """
-    if "cameras" in options:
-        add_cameras(parser)
     if "root" in options:
         parser.add_argument("--root", metavar="R", help="datasets' folder (default: $ELDATA_ROOT, else ./data)")
     if json:
@@ -211,11 +205,6 @@ def chosen(arguments: Arguments, names: Iterable[str]) -> dict[str, Any]:
 # --- outputs ----------------------------------------------------------------------------------------------------------
 
 
-def terminal_columns() -> int | None:
-    """Count the characters of a line of the terminal; None where the output goes elsewhere."""
-    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-
-
 def each_of(*steps: Callable[[], object] | None) -> None:
     """Take all of these steps but ``None``, whatever becomes of some, so that nothing computed is lost.
 
@@ -237,10 +226,7 @@ def each_of(*steps: Callable[[], object] | None) -> None:
 
 
 def show_and_write(
-    arguments: Arguments,
-    text: Callable[[], str],
-    data: Callable[[], object],
-    *more: Callable[[], object] | None,
+    arguments: Arguments, text: Callable[[], str], data: Callable[[], object], *more: Callable[[], object] | None
 ) -> None:
     """Print a text, write the data that ``--json`` asks for, and take more steps, each as :func:`each_of` does."""
     each_of(lambda: print(text()), arguments.json and (lambda: write_json(arguments.json, data())), *more)
@@ -261,11 +247,6 @@ def add_output(
     action = parser.add_argument(*names, **{"metavar": "FILE"} | options)
     outputs = parser.get_default("outputs") or {}
     parser.set_defaults(outputs=outputs | {action.dest: (names[0], beside, makes_folder)})
-
-
-def output_paths(arguments: Arguments) -> list[Path]:
-    """List the files that a command is asked to write."""
-    return [Path(getattr(arguments, dest)) for dest in arguments.outputs if getattr(arguments, dest) is not None]
 
 
 def _check_outputs(arguments: Arguments) -> None:

@@ -16,6 +16,7 @@ import csv
 import gc
 import io
 import json
+import math
 import sys
 import tomllib
 from collections import Counter
@@ -28,14 +29,13 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
 from eldata.base.files import file_problem
-from eldata.base.numbers import LARGEST_WHOLE, fraction_of, number_of, whole_of
+from eldata.base.numbers import LARGEST_WHOLE, number_of, whole_of
 from eldata.base.tables import text_of_cell
 from eldata.base.visible import NOTHING, has_unseen, in_line, named_field, shown
 from eldata.errors import ArgumentError, EldataError, FileError, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-    from fractions import Fraction
 
 Value = TypeVar("Value")
 
@@ -153,7 +153,9 @@ class TextFile:
             The file's, as :meth:`text` raises it; or if it is not complete JSON, uses a name twice or a constant that
             JSON does not have, is nested too deeply, or is not an object.
         """
-        return self._parse("JSON", partial(json.loads, object_pairs_hook=_once, parse_constant=_refuse_constant))
+        return self._parse(
+            "JSON", partial(json.loads, object_pairs_hook=_build_object, parse_constant=_refuse_constant)
+        )
 
     def toml(self) -> Fields:
         """Return the TOML file's content.
@@ -224,7 +226,7 @@ def _refuse_constant(name: str) -> float:
     raise ValueError(f"it holds {name}, expected finite numbers")
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _build_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return a JSON object; refuse one with a name twice, which the grammar allows."""
     data = dict(pairs)
     if len(data) < len(pairs):
@@ -393,16 +395,12 @@ class Fields:
         """Return a whole number."""
         return self.parsed(name, whole_of, at_least=at_least, at_most=at_most, text=self._is_text)
 
-    def number(self, name: str, *, at_least: float | None = None, above: float | None = None) -> float:
+    def number(self, name: str, *, at_least: float = -math.inf, above: float = -math.inf) -> float:
         """Return a finite number."""
         return self.parsed(name, number_of, at_least=at_least, above=above, text=self._is_text)
 
-    def fraction(self, name: str, *, above: int | None = None, digits: int = 18) -> Fraction:
-        """Return an exact number that is given as text."""
-        return self.parsed(name, fraction_of, above=above, digits=digits)
-
     def parsed(self, name: str, parse: Callable[..., Value], **options: Any) -> Value:
-        """Return ``parse(value, **options)``, whose :class:`~eldata.errors.ArgumentError` says what is wrong."""
+        """Return ``parse(value, **options)``; its :class:`~eldata.errors.ArgumentError` becomes the file's error."""
         try:
             return parse(self.data.get(name, NOTHING), **options)
         except ArgumentError as error:

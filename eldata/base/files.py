@@ -92,9 +92,9 @@ def is_hidden(relative: str) -> bool:
 
 
 def visible_below(folder: Path, *, deep: bool = True) -> list[Path]:
-    """List what is not hidden below a folder, sorted: files, folders, and links, which are not followed.
+    """List the files, folders and links below a folder, sorted, but for hidden ones; links are not followed.
 
-    With what is hidden, all that lies below it is passed over. A folder that is not there holds nothing.
+    All below a hidden folder is passed over. A missing folder holds nothing.
 
     Raises
     ------
@@ -230,7 +230,7 @@ _LEFTOVER = re.compile(r"\..*\.(eldata|[0-9a-f]{16})\.part", re.DOTALL)
 
 @contextmanager
 def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
-    """Yield a new file beside ``path`` and its path, to be renamed; it is removed unless that was done.
+    """Yield a new file in the folder of ``path``, and its path; it is removed unless the caller renames it.
 
     Its lock, held as long as it is open, tells it from what a dead process left; that is removed first. Where another
     process writes to the same ``path``, it gets a name of its own. Without locks (Windows, some network disks) nothing
@@ -364,24 +364,18 @@ def check_same_work(place: Path, begun: Mapping[str, object], wanted: Mapping[st
 
 def path_problem(relative: str) -> str | None:
     """Describe why a manifest's path is unsafe; ``None`` if it is a plain relative POSIX path."""
-    if not relative:
-        return "is empty"
-    if "\\" in relative:
-        return "contains a backslash; manifests use '/'"
-    if has_unseen(relative):
-        return "contains a control character, or another one that does not show"
-    if relative.startswith("/"):
-        return "is absolute; paths are relative to the dataset's folder"
-    if ":" in relative.partition("/")[0]:
-        return "names a drive; paths are relative to the dataset's folder"
     parts = relative.split("/")
-    if any(part in ("", ".", "..") for part in parts):
-        return "contains an empty, '.' or '..' part"
-    if max(map(len, parts)) > 255:
-        return "contains a name of more than 255 characters, which no file system has"
-    if len(relative) > _LONGEST_PATH:
-        return f"has more than {_LONGEST_PATH} characters, which no system opens"
-    return None
+    problems = (
+        (not relative, "is empty"),
+        ("\\" in relative, "contains a backslash; manifests use '/'"),
+        (has_unseen(relative), "contains a control character, or another one that does not show"),
+        (relative.startswith("/"), "is absolute; paths are relative to the dataset's folder"),
+        (":" in parts[0], "names a drive; paths are relative to the dataset's folder"),
+        (any(part in ("", ".", "..") for part in parts), "contains an empty, '.' or '..' part"),
+        (max(map(len, parts)) > 255, "contains a name of more than 255 characters, which no file system has"),
+        (len(relative) > _LONGEST_PATH, f"has more than {_LONGEST_PATH} characters, which no system opens"),
+    )
+    return next((problem for is_so, problem in problems if is_so), None)
 
 
 def inside(root: Path, relative: str) -> Path:

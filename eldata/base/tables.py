@@ -11,7 +11,6 @@ import re
 import textwrap
 from dataclasses import asdict
 from fractions import Fraction
-from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, Literal
 
 from eldata.base.visible import in_line
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 
 Format = Literal["text", "markdown", "latex"]
 FORMATS: Final[tuple[Format, ...]] = ("text", "markdown", "latex")
-_NARROWEST = 16  # characters of a column whose texts are broken
 _LINE = 80  # characters of a line of text, as wide as a terminal
 
 
@@ -34,46 +32,19 @@ class Strong(str):
     __slots__ = ()
 
 
-def text_table(
-    header: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    left: Collection[int] = (0,),
-    *,
-    columns: int | None = None,
-) -> str:
-    """Return lines of aligned columns: columns ``left`` to the left, the others to the right.
-
-    With ``columns``, the characters of a line, the widest texts are broken into several lines until the table fits.
-    """
+def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
+    """Return lines of aligned columns: columns ``left`` to the left, the others to the right."""
     header, *rows = ([in_line(cell) for cell in row] for row in (header, *rows))
     widths = [max(len(cell) for cell in column) for column in zip(header, *rows, strict=True)]
-    if columns is not None:
-        widths = _fitting(widths, columns)
-    lines = [
-        "  ".join(_aligned(line, widths, left)).rstrip()
-        for row in (header, ["-" * width for width in widths], *rows)
-        for line in zip_longest(*(_broken(cell, width) for cell, width in zip(row, widths, strict=True)), fillvalue="")
-    ]
-    return "\n".join(lines)
+    cells = (header, ["-" * width for width in widths], *rows)
+    return "\n".join("  ".join(_align(row, widths, left)).rstrip() for row in cells)
 
 
-def _aligned(cells: Sequence[str], widths: Sequence[int], left: Collection[int]) -> list[str]:
+def _align(cells: Sequence[str], widths: Sequence[int], left: Collection[int]) -> list[str]:
     return [
         cell.ljust(width) if index in left else cell.rjust(width)
         for index, (cell, width) in enumerate(zip(cells, widths, strict=True))
     ]
-
-
-def _broken(cell: str, width: int) -> list[str]:
-    return [cell] if len(cell) <= width else textwrap.wrap(cell, width, break_on_hyphens=False)
-
-
-def _fitting(widths: Sequence[int], columns: int) -> list[int]:
-    """Return widths of which the greatest are made smaller, to 16 at least, until a line has so many characters."""
-    widths = list(widths)
-    while sum(widths) + 2 * (len(widths) - 1) > columns and max(widths) > _NARROWEST:
-        widths[widths.index(max(widths))] -= 1
-    return widths
 
 
 def wrapped(text: str, indent: str = "    ") -> list[str]:
@@ -106,7 +77,7 @@ def aligned_markdown(cells: Sequence[Sequence[str]], left: Collection[int] = (0,
     """Return a table like :func:`markdown_table`, of cells that are Markdown already; the first row is the header."""
     widths = [max(3, *(len(cell) for cell in column)) for column in zip(*cells, strict=True)]
     ruler = ["-" * width if index in left else "-" * (width - 1) + ":" for index, width in enumerate(widths)]
-    header, *rows = (_aligned(row, widths, left) for row in cells)
+    header, *rows = (_align(row, widths, left) for row in cells)
     return "\n".join(f"| {' | '.join(row)} |" for row in (header, ruler, *rows))
 
 
@@ -117,15 +88,8 @@ def _markdown_cell(cell: str) -> str:
 
 # --- LaTeX --------------------------------------------------------------------------------------------------------
 
-_LATEX = {
+_LATEX = {sign: f"\\{sign}" for sign in "{}$&%#_"} | {
     "\\": r"\textbackslash{}",
-    "{": r"\{",
-    "}": r"\}",
-    "$": r"\$",
-    "&": r"\&",
-    "%": r"\%",
-    "#": r"\#",
-    "_": r"\_",
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
     "<": r"\textless{}",
@@ -264,20 +228,15 @@ def with_error(value: float, error: float) -> str:
 
 # --- in a notebook ----------------------------------------------------------------------------------------------------
 
-# HTML that fits a light and a dark page: colours are the notebook's own, lines half transparent. It has neither script
-# nor style sheet, nothing comes from the network, and every text is escaped, with only characters that show.
+# Plain elements, which a notebook's own style sheet shows on light and dark pages: no script, nothing from the network,
+# every text escaped, with only characters that show.
 ROWS_SHOWN: Final = 60
-
-_RULE: Final = "1px solid rgba(128, 128, 128, 0.4)"
-_CELL: Final = "padding: 2px 10px; color: inherit; background: none"
 
 
 def block(heading: str, *parts: str, notes: Sequence[str] = ()) -> str:
     """Return a heading with what stands under it: tables and pictures, which are HTML, then notes, which are texts."""
-    shown = "".join(f'<p style="margin: 4px 0; max-width: 60em">{escaped(note)}</p>' for note in notes[:ROWS_SHOWN])
-    more = _more(len(notes))
-    head = f'<p style="margin: 4px 0"><b>{escaped(heading)}</b></p>'
-    return f'<div style="color: inherit">{head}{"".join(parts)}{shown}{more}</div>'
+    shown = "".join(f"<p>{escape(note)}</p>" for note in notes[:ROWS_SHOWN])
+    return f"<div><p><b>{escape(heading)}</b></p>{''.join(parts)}{shown}{_count_more(len(notes))}</div>"
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
@@ -286,38 +245,29 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection
     An empty header is left out.
     """
 
-    def cells(texts: Sequence[str], kind: str, line: str) -> str:
+    def line(texts: Sequence[str], kind: str) -> str:
         sides = ("left" if index in left else "right" for index in range(len(texts)))
-        return "".join(
-            f'<{kind} style="{_CELL}; text-align: {side}; {line}">{escaped(text)}</{kind}>'
-            for text, side in zip(texts, sides, strict=True)
-        )
+        styled = zip(texts, sides, strict=True)
+        cells = (f'<{kind} style="text-align: {side}">{escape(text)}</{kind}>' for text, side in styled)
+        return f"<tr>{''.join(cells)}</tr>"
 
-    head = f"<thead><tr>{cells(header, 'th', f'border-bottom: {_RULE}')}</tr></thead>" if header else ""
-    body = "".join(f'<tr style="background: none">{cells(row, "td", "border: none")}</tr>' for row in rows[:ROWS_SHOWN])
-    style = "border-collapse: collapse; margin: 4px 0; color: inherit"
-    return f'<table style="{style}">{head}<tbody>{body}</tbody></table>{_more(len(rows))}'
-
-
-def facts(rows: Sequence[tuple[str, str]]) -> str:
-    """Return a table of names and values."""
-    return table((), rows, left=(0, 1))
+    head = f"<thead>{line(header, 'th')}</thead>" if header else ""
+    body = "".join(line(row, "td") for row in rows[:ROWS_SHOWN])
+    return f"<table>{head}<tbody>{body}</tbody></table>{_count_more(len(rows))}"
 
 
 def picture(jpeg: bytes, alt: str) -> str:
-    """Return a JPEG as it is, in the page, with what it shows in words as its caption."""
+    """Return a JPEG in the page itself, described in words by its caption."""
     data = base64.b64encode(jpeg).decode("ascii")
-    return (
-        '<figure style="display: inline-block; margin: 4px 10px 4px 0">'
-        f'<img src="data:image/jpeg;base64,{data}" alt="{escaped(alt)}">'
-        f'<figcaption style="font-size: 90%">{escaped(alt)}</figcaption></figure>'
-    )
+    source, text = f"data:image/jpeg;base64,{data}", escape(alt)
+    caption = f"<figcaption>{text}</figcaption>"
+    return f'<figure style="display: inline-block"><img src="{source}" alt="{text}">{caption}</figure>'
 
 
-def escaped(text: str) -> str:
+def escape(text: str) -> str:
     """Return a text as HTML shows it, in one line."""
     return html.escape(in_line(text))
 
 
-def _more(count: int) -> str:
-    return f'<p style="margin: 4px 0">… and {count - ROWS_SHOWN} more</p>' if count > ROWS_SHOWN else ""
+def _count_more(count: int) -> str:
+    return f"<p>… and {count - ROWS_SHOWN} more</p>" if count > ROWS_SHOWN else ""

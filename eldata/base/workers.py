@@ -309,7 +309,7 @@ def _raise_failures(outcomes: Generator[Result | Failed[Any], None, None]) -> It
 def _in_order(
     work: Callable[[Unit], Result], units: Iterable[Unit], executor: Executor, in_flight: int
 ) -> Generator[Result | Failed[Unit], None, None]:
-    """Yield the outcomes of units on an executor, so many of which are in flight at a time."""
+    """Yield the outcomes of units on an executor; ``in_flight`` of them are submitted at a time."""
     left = iter(units)
     waiting: deque[tuple[Unit, Future[Any]]] = deque()
     try:

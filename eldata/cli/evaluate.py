@@ -68,7 +68,8 @@ def run(arguments: console.Arguments) -> int:
     predictions = next(iter(arguments.predictions), None)
     with console.chosen_workers(arguments) as workers:
         request = make_request(predictions, **_take_options(arguments, workers))
-        _check_places(request, *(path.parent for path in console.output_paths(arguments)))
+        outputs = filter(None, (getattr(arguments, name) for name in arguments.outputs))
+        _check_places(request, *(Path(output).parent for output in outputs))
         result = perform_each([request])[0]
 
         def write_page() -> None:

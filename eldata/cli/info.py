@@ -10,6 +10,7 @@ those.
 
 from __future__ import annotations
 
+import shutil
 import sys
 from functools import partial
 
@@ -43,7 +44,8 @@ def run(arguments: console.Arguments) -> int:
             return overviews[0].format_text()
         header = ("name", "files", "size", f"in {data_root(arguments.root)}", "title")
         lines = text_table(header, [overview.row for overview in overviews], left=(0, 3, 4)).splitlines()
-        table = "\n".join(line[: console.terminal_columns()] for line in lines)
+        columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+        table = "\n".join(line[:columns] for line in lines)
         return f"{table}\n\neldata info NAME shows one: addresses, licence, citation, known defects"
 
     warnings = [partial(print, f"eldata info: {problem}", file=sys.stderr) for problem in problems]

@@ -25,7 +25,8 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument(
         "manifest", metavar="MANIFEST", help="a dataset's name, or a manifest's CSV file, which is changed"
     )
-    console.add_shared(parser, run, "root", "cameras", "workers", json=True)
+    console.add_cameras(parser)
+    console.add_shared(parser, run, "root", "workers", json=True)
 
 
 def run(arguments: console.Arguments) -> int:

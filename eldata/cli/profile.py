@@ -173,7 +173,7 @@ def run_list(arguments: console.Arguments) -> int:
     header = ("profile", "gain [DN/e-]", "ISO", "rows", "source")
 
     def format_text() -> str:
-        return text_table(header, rows, left=(0, 4), columns=console.terminal_columns())
+        return text_table(header, rows, left=(0, 4))
 
     console.show_and_write(arguments, format_text, lambda: listed)
     return console.OK

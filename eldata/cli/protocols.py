@@ -48,7 +48,7 @@ def run(arguments: console.Arguments) -> int:
         if names:
             return "\n\n".join(_format_protocol(protocol) for protocol in chosen)
         rows = [summary(protocol, PROTOCOLS["eld"]) for protocol in chosen]
-        table = text_table(HEADER, rows, left=range(len(HEADER)), columns=console.terminal_columns())
+        table = text_table(HEADER, rows, left=range(len(HEADER)))
         return (
             f"{table}\n\neld: full frame of packed raw, white 16383, one factor per image, SSIM 7x7\n"
             "eldata protocols NAME shows one: all that it fixes, its source and digest"

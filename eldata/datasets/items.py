@@ -442,10 +442,10 @@ def show_dataset(
     name: str, outline: Sequence[tuple[str, str]], seen: Callable[[], tuple[dict[str, Any], Sensor | None]] | None
 ) -> str:
     """Return a dataset as a notebook shows it: what it is, and its first item in small, or why that cannot be read."""
-    from eldata.base.tables import block, facts, picture
+    from eldata.base.tables import block, picture, table
     from eldata.plots.pictures import thumbnail
 
-    parts, notes = [facts(outline)], []
+    parts, notes = [table((), outline, left=(0, 1))], []
     try:
         if seen is not None:
             sample, sensor = seen()

@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from eldata.base.arrays import declared_array, read_array
 from eldata.base.files import file_problem, inside, is_hidden, path_problem
 from eldata.base.visible import shown
 from eldata.errors import ArchiveError, DownloadError, EldataError
@@ -44,7 +43,6 @@ FORMATS = {
 MOST_EXPANSION = 100
 SURELY_HARMLESS_BYTES = 64 * 2**20
 _BY_HAND = "if you trust it, unpack it by hand (7z x) and run eldata verify"
-_FETCH_AGAIN = "is its download whole? Fetch it again"
 _LINK = "is a link or a device, which could lead out of the folder"
 
 
@@ -164,9 +162,10 @@ def unpack_archive(path: Path, members: Iterable[Member], targets: Mapping[str, 
             shutil.rmtree(staging)
         staging.mkdir()
         with _name_damage(path), progress_bar(f"unpacking {path.name}", missing_bytes) as bar:
-            for name, staged in _extract(path, new, staging, bar) if new else ():
+            for name, staged in _extract(path, new, staging) if new else ():
                 places[name].parent.mkdir(parents=True, exist_ok=True)
                 staged.rename(places[name])
+                bar.update(size_of[name])
         shutil.rmtree(staging)
     except OSError as error:
         advice = "files unpacked before are whole, and the same command goes on"
@@ -176,14 +175,13 @@ def unpack_archive(path: Path, members: Iterable[Member], targets: Mapping[str, 
     return written, same_size, differing
 
 
-def _extract(path: Path, names: Sequence[str], staging: Path, bar: tqdm[Any]) -> Iterator[tuple[str, Path]]:
+def _extract(path: Path, names: Sequence[str], staging: Path) -> Iterator[tuple[str, Path]]:
     """Yield members' names and where they have come out."""
     form = read_format(path)
     if form == "zip":
         with zipfile.ZipFile(path) as archive:
             for name in names:
                 yield name, Path(archive.extract(name, staging))
-                bar.update(archive.getinfo(name).file_size)
     elif form == "7z":
         with _open_seven_zip(path) as archive:
             archive.extract(staging, names)
@@ -255,31 +253,26 @@ def _seven_zip_members(path: Path) -> Iterator[Member]:
 
 def _block_members(path: Path) -> Iterator[Member]:
     """Yield a member for each block, ``<array>/<image>_<block>.npy``, counted from 0 in two digits."""
-    name = _name_blocks(path)
-    declared = declared_array(path, name=name, error=ArchiveError, advice=_FETCH_AGAIN)
-    images, blocks, *sides = declared.shape
-    block_bytes = math.prod(sides) * np.dtype(declared.values).itemsize + 128  # numpy's header
-    _check_expansion(path, images * blocks * block_bytes)
-    for image, block in np.ndindex(images, blocks):
-        yield Member(f"{name}/{image:02}_{block:02}.npy", block_bytes)
+    import scipy.io
+
+    arrays = scipy.io.whosmat(path)
+    if all(len(shape) != 4 for _, shape, _ in arrays):
+        raise ArchiveError(path, f"expected an array of blocks, (images, blocks, rows, columns); found {arrays}")
+    for name, (*counts, height, width), kind in arrays:
+        if len(counts) == 2:
+            values = np.dtype({"single": "float32", "double": "float64"}.get(kind, kind))
+            block_bytes = height * width * values.itemsize + 128  # numpy's header
+            _check_expansion(path, math.prod(counts) * block_bytes)
+            for image, block in np.ndindex(*counts):
+                yield Member(f"{name}/{image:02}_{block:02}.npy", block_bytes)
 
 
 def _extract_blocks(path: Path, names: Sequence[str], staged: Path) -> Iterator[tuple[str, Path]]:
-    array = read_array(path, lambda _: None, name=_name_blocks(path), error=ArchiveError, advice=_FETCH_AGAIN)
+    import scipy.io
+
+    array = scipy.io.loadmat(path, variable_names=[names[0].partition("/")[0]])[names[0].partition("/")[0]]
     for name in names:
-        image, block = map(int, name.rpartition("/")[2].removesuffix(".npy").split("_"))
+        image, block = map(int, Path(name).stem.split("_"))
         with staged.open("wb") as file:
             np.save(file, np.ascontiguousarray(array[image, block]), allow_pickle=False)
         yield name, staged
-
-
-def _name_blocks(path: Path) -> str:
-    import scipy.io
-
-    if path.suffix.lower() != ".mat":
-        raise ArchiveError(path, "is a file of MATLAB's; give it a name that ends in .mat")
-    arrays = scipy.io.whosmat(path)
-    held = [name for name, shape, _ in arrays if len(shape) == 4]
-    if len(held) != 1:
-        raise ArchiveError(path, f"expected one array of blocks, (images, blocks, rows, columns); found {arrays}")
-    return held[0]

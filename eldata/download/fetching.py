@@ -117,7 +117,7 @@ class RangeDownloader:
     plain_http: bool = False
 
     def __call__(self, url: str, output_file: str, pooch: object = None) -> None:
-        """Fetch an archive into a file of pooch's, by way of its ``.part`` beside that."""
+        """Fetch an archive into pooch's file, by way of a ``.part`` in the same folder."""
         import requests
 
         del pooch
@@ -153,7 +153,7 @@ class RangeDownloader:
             note.unlink(missing_ok=True)
 
     def _fetch_rest(self, session: requests.Session, url: str, note: Path, file: IO[bytes], bar: tqdm[Any]) -> None:
-        """Ask for what is missing, once, and take no more than the server, or the card, says there is."""
+        """Ask for the missing bytes once; never take more than the server or the card announces."""
         import requests
 
         have, (mark, total) = file.seek(0, os.SEEK_END), _read_note(note, url)

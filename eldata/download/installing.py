@@ -36,11 +36,11 @@ class Installed:
     left: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON types."""
+        """Return the record as plain JSON types."""
         return asdict(self) | {"archive": str(self.archive)}
 
     def format_text(self) -> str:
-        """Return it as text."""
+        """Return the record as lines of text."""
         lines = [f"    left alone, differs in size from the archive's: {path}" for path in self.differing]
         facts = [
             f"{self.archive.name}: {len(self.written)} files unpacked, {len(self.same_size)} were there already",

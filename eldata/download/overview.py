@@ -1,4 +1,4 @@
-"""What is known about a dataset, and how much of it is on the disk: the content of `eldata info`."""
+"""The content of `eldata info`: the facts about a dataset, and how much of it is on the disk."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ class Presence:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """What is known about a dataset, and what is on the disk below ``root``.
+    """The facts about a dataset, and how much of it is on the disk below ``root``.
 
-    Of one whose files no public text lists, that is its ``card`` alone: it has no ``manifest`` and no ``presence``.
+    A dataset whose files no public text lists has its ``card`` alone: no ``manifest`` and no ``presence``.
     """
 
     card: Card
@@ -82,31 +82,30 @@ class Overview:
 
     @property
     def next_step(self) -> str:
-        """What to do next: get the files, check them, or list one's own."""
+        """The next step: get the files, check them, or list one's own."""
         if self.presence is None:
             return "list your copy of camera raws: eldata manifest FOLDER -o mine.csv (docs/adding-a-dataset.md)"
         return self.verify_command if self.presence.complete else self.download_command
 
     @property
     def row(self) -> tuple[str, ...]:
-        """Its line in the table of all: name, files, size, what is there, title."""
+        """The dataset's line in the table of all: name, files, size, state, title."""
         card, there = self.card, self.presence
         files, state = ("not listed", "card alone") if there is None else (there.count_text, str(there))
         return card.name, files, _size(card), state, card.title
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON types; what only a manifest knows is ``None``."""
+        """Return the facts as plain JSON types; without a manifest, its facts are ``None``."""
         card, there = asdict(self.card), self.presence
         return card | {
             "manifest": self.manifest and str(self.manifest.path),
             "folder_on_disk": self.manifest and str(self.folder),
-            "places": card["downloads"],
             "presence": there and asdict(there) | {"complete": there.complete},
             "verify": self.manifest and self.verify_command,
         }
 
     def format_text(self) -> str:
-        """Return it as text for one dataset."""
+        """Return all facts as text."""
         card, listed = self.card, "card" if self.manifest is None else "manifest"
         lines = [f"{card.name}: {card.title} ({listed} version {card.version})", "", *_facts(card), *self._files()]
         lines += ["", "where to get it", *format_downloads(card.downloads)]
@@ -131,31 +130,19 @@ class Overview:
 
 
 def _facts(card: Card) -> list[str]:
-    facts = (
-        ("licence", card.licence),
-        ("citation", card.citation),
-        ("homepage", card.homepage),
-        ("cameras", ", ".join(card.cameras)),
-        ("CFA", "bayer and xtrans" if card.cfa == "both" else card.cfa),
-        ("levels", card.levels),
-        ("protocol", card.protocol),
-        ("contents", card.contents),
-    )
+    worded = {"cameras": ", ".join(card.cameras), "CFA": "bayer and xtrans" if card.cfa == "both" else card.cfa}
+    names = ("licence", "citation", "homepage", "cameras", "CFA", "levels", "protocol", "contents")
+    facts = [(name, worded[name] if name in worded else getattr(card, name)) for name in names]
     return [line for name, text in facts if text for line in wrapped(f"{name:<11}{text}", " " * 11)]
 
 
 def _remarks(card: Card) -> list[str]:
     lines = []
-    for title, texts in (
-        ("how it is scored", card.scored),
-        ("known defects", card.known_defects),
-        ("not known", card.unknown),
-        ("sources", card.sources),
-    ):
-        if texts:
-            lines += ["", title]
-            for text in texts:
-                lines += wrapped(f"    - {text}", " " * 6)
+    remarks = {"how it is scored": card.scored, "known defects": card.known_defects, "not known": card.unknown}
+    for title, texts in (remarks | {"sources": card.sources}).items():
+        lines += ["", title] * bool(texts)
+        for text in texts:
+            lines += wrapped(f"    - {text}", " " * 6)
     return lines
 
 
@@ -185,17 +172,12 @@ def format_downloads(downloads: Iterable[Download]) -> list[str]:
 def presence_of(folder: Path, records: Iterable[FrameRecord]) -> Presence:
     """Count the listed files that are in a folder, by names and sizes alone."""
     paths = [record.path for record in records]
-    files = [matching(folder, path) if is_pattern(path) else (path,) for path in paths]
-    present = sum(any(_is_there(folder / file) for file in of_row) for of_row in files)
+    present = 0
+    for path in paths:
+        files = [folder / file for file in (matching(folder, path) if is_pattern(path) else (path,))]
+        present += any(file.is_file() and file.stat().st_size > 0 for file in files)
     patterns = sum(map(is_pattern, paths))
     return Presence(len(paths), present, patterns > 0 and (folder / STAGING).exists(), patterns)
-
-
-def _is_there(path: Path) -> bool:
-    try:
-        return path.stat().st_size > 0
-    except OSError:
-        return False
 
 
 def overview(manifest: Manifest, root: Path | str | None = None) -> Overview:

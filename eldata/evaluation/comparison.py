@@ -36,9 +36,9 @@ from eldata.evaluation.statistics import (
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
 
-    from eldata.base import numbers
     from eldata.base.tables import Format
     from eldata.evaluation.results import EvaluationResult
+    from eldata.metrics import registry
     from eldata.metrics.registry import Kind
 
 Images: TypeAlias = "Sequence[tuple[UnitScore, ...]]"
@@ -264,7 +264,7 @@ def _common_kind(results: Sequence[EvaluationResult]) -> Kind:
     return replace(first, metrics=tuple(m for m in first.metrics if all(m in other.metrics for other in others)))
 
 
-def _groups(images: Images, metrics: Sequence[numbers.Figure], result: EvaluationResult) -> tuple[Group, ...]:
+def _groups(images: Images, metrics: Sequence[registry.Figure], result: EvaluationResult) -> tuple[Group, ...]:
     names = [metric.name for metric in metrics]
     groups = []
     for camera, ratio in list_groups([(scores[0].camera, scores[0].ratio) for scores in images], result.dataset):
@@ -280,7 +280,7 @@ def _groups(images: Images, metrics: Sequence[numbers.Figure], result: Evaluatio
 
 
 def _contests(
-    results: Mapping[str, EvaluationResult], images: Images, metrics: Sequence[numbers.Figure]
+    results: Mapping[str, EvaluationResult], images: Images, metrics: Sequence[registry.Figure]
 ) -> tuple[Contest, ...]:
     names = [metric.name for metric in metrics]
     shared = next(iter(results.values())).scenes_shared

@@ -18,10 +18,10 @@ import numpy as np
 
 from eldata.base.fields import named_object
 from eldata.base.files import sha256_of
-from eldata.base.numbers import Figure
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, FileError, check_choice
 from eldata.evaluation.scores import short_digest
+from eldata.metrics.registry import Figure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

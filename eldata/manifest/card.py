@@ -1,4 +1,4 @@
-"""The dataset card: what a dataset is, where it comes from, what is known to be wrong with it."""
+"""The dataset card: contents, origin and known defects of a dataset."""
 
 from __future__ import annotations
 

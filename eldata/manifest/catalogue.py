@@ -274,7 +274,7 @@ def shipped_card(name: str) -> Card:
         If the name is unknown; the message lists the known ones.
     """
     if name not in carded_names():
-        raise ManifestError(_unknown(name, carded_names()))
+        raise ManifestError(_name_known(name, carded_names()))
     return load_card(shipped_folder() / f"{name}.json")
 
 
@@ -299,7 +299,7 @@ def shipped_manifest(name: str) -> Manifest:
             "known; eldata manifest FOLDER -o mine.csv lists your copy of camera raws (docs/adding-a-dataset.md)"
         )
     if name not in shipped_names():
-        raise ManifestError(_unknown(name, shipped_names()))
+        raise ManifestError(_name_known(name, shipped_names()))
     return load_manifest(shipped_folder() / f"{name}.csv")
 
 
@@ -367,7 +367,7 @@ def known_manifest(name: str) -> Manifest:
     shipped = name in carded_names()
     place = registered_place(name, "the one that comes with eldata" if shipped else None)
     if place is None:
-        raise ManifestError(_unknown(name, known_names()))
+        raise ManifestError(_name_known(name, known_names()))
     if shipped:
         return shipped_manifest(name)
     manifest = load_manifest(registered_manifest(name, place))
@@ -392,7 +392,7 @@ def known_manifests(root: Path | str | None = None) -> tuple[tuple[Manifest, ...
     return tuple(manifests), tuple(problems)
 
 
-def _unknown(name: str, known: Collection[str]) -> str:
+def _name_known(name: str, known: Collection[str]) -> str:
     parts = [one for one in known if name and one.startswith(f"{name.casefold()}-")]
     meant = f"it is {' and '.join(parts)}: name one" if parts else f"known are {', '.join(known)}"
     return f"no dataset is called {name!r}; {meant}{'' if parts else did_you_mean(name, known)}"
@@ -448,7 +448,9 @@ def find_manifests(where: Path | str | Iterable[Path | str], root: Path | str | 
         return tuple(manifest for one in where for manifest in find_manifests(one, root))
     if is_name(where):
         if where not in known_names():
-            raise ManifestError(f"{where}: there is no such file or folder, and {_unknown(str(where), known_names())}")
+            raise ManifestError(
+                f"{where}: there is no such file or folder, and {_name_known(str(where), known_names())}"
+            )
         return (checking_manifest(str(where), root),)
     path = Path(where)
     if path.is_dir():

@@ -136,11 +136,11 @@ class ClipRecord:
         return None if self.ratio is None else float(self.ratio)
 
     def reference_of(self, frame: str) -> str | None:
-        """Return what one of its frames is compared with, if there is anything."""
+        """Return the reference of one of its frames, if there is one."""
         return self.references[self.frames.index(frame)] if self.references else self.reference
 
     def place(self, frame: str) -> str:
-        """Return where the prediction of a frame lies, without its extension.
+        """Return the place of a frame's prediction, without its extension.
 
         In a sequence that is the frame's own path; in another clip ``<clip>/<name of the frame>``, whatever folders the
         frame lies in.
@@ -149,7 +149,7 @@ class ClipRecord:
 
 
 def clip_place(scene: str, frame: str) -> str:
-    """Return where the prediction of a clip's frame lies, by the frame's scene, without its extension."""
+    """Return the place of the prediction of a clip's frame, by the frame's scene, without its extension."""
     return f"{scene}/{PurePosixPath(frame).name}" if moment_of(scene) is None else frame
 
 

@@ -160,7 +160,7 @@ def sort_own_set(
         if isinstance(sensor, Sensor):
             cfas.add(packing_sites(sensor.cfa).name)
         elif sensor is not None:
-            problems.append(_broken(first.path, sensor))
+            problems.append(_name_unreadable(first.path, sensor))
     records: list[FrameRecord] = []
     scenes: dict[tuple[str, str], list[_Frame]] = defaultdict(list)
     for frame in frames:
@@ -197,7 +197,7 @@ def _read_frames(folder: Path, workers: AnyWorkers) -> tuple[list[_Frame], tuple
     problems: list[Problem] = []
     for outcome in Workers.of(workers).attempt(partial(_read_frame, folder), raws_below(folder), label="reading"):
         if isinstance(outcome, Failed):
-            problems.append(_broken(outcome.unit.relative_to(folder).as_posix(), outcome.error))
+            problems.append(_name_unreadable(outcome.unit.relative_to(folder).as_posix(), outcome.error))
         else:
             frames.append(outcome)
     files = {folder / frame.path: ShotFacts(frame.model, frame.iso, frame.exposure_s, frame.taken) for frame in frames}
@@ -234,13 +234,13 @@ def _frame_of(header: RawHeader, path: str) -> _Frame:
     return _Frame(path, header.model, camera, exposure.iso, exposure.exposure_s, header.taken)
 
 
-def _broken(path: str, error: Exception) -> Problem:
+def _name_unreadable(path: str, error: Exception) -> Problem:
     reason = error.reason if isinstance(error, RawFileError) else str(error)
     return row_fault(path, "file", "a camera raw", reason, "copy it again, or take it out of the folder")
 
 
 def _sort_scene(scene: str, frames: Sequence[_Frame], reference: str | None) -> tuple[list[FrameRecord], list[Problem]]:
-    """Return the rows of a scene's frames of one camera, or what is unclear about them."""
+    """Return the rows of one camera's frames of a scene, or the problems that keep them from being sorted."""
     unstated = [frame for frame in frames if not frame.light]
     if unstated:
         expected, advice = "ISO and exposure time in EXIF", f"use the original, {_BY_HAND}"

@@ -97,7 +97,7 @@ def png_size_faults(folder: Path, records: Iterable[FrameRecord]) -> list[Proble
 
 
 def pattern_faults(records: Iterable[FrameRecord], folder: Path) -> list[Problem]:
-    """Name what is wrong with the files that patterns match: several references, odd names, gaps in the numbers."""
+    """Name problems of the files that patterns match: several references, odd names, gaps in the numbers."""
     problems = []
     for record in records:
         files = matching(folder, record.path) if is_pattern(record.path) else ()
@@ -111,7 +111,7 @@ def pattern_faults(records: Iterable[FrameRecord], folder: Path) -> list[Problem
 
 
 def _name_faults(folder: PurePosixPath, frames: FrameSequence) -> list[Problem]:
-    """Name what is wrong with the names of a clip's frames in a folder."""
+    """Name odd names, doubles and gaps among a clip's frames in a folder."""
     problems = []
     for name in frames.odd:
         advice = "move it away: it shifts the frames"

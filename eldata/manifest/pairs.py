@@ -158,10 +158,10 @@ def _check_known(what: str, kind: str, wanted: Collection[object], values: Itera
     for value in wanted:
         if value not in known:
             hint = did_you_mean(str(value), map(str, known)) if kind in ("camera", "split", "flag") else ""
-            raise ArgumentError(f"no {what} has {kind} {value}; known are {_listed(known, value)}{hint}")
+            raise ArgumentError(f"no {what} has {kind} {value}; known are {_list_near(known, value)}{hint}")
 
 
-def _listed(known: Sequence[object], wanted: object) -> str:
+def _list_near(known: Sequence[object], wanted: object) -> str:
     """Return values as text; of many, those that stand next to the wanted one."""
     texts = [str(value) for value in known]
     if len(texts) <= _SHOWN:

@@ -137,7 +137,7 @@ def table_text(path: Path, records: Iterable[FrameRecord]) -> str:
 
 
 def cell_text(value: object) -> str:
-    """Return a field of a record as a cell holds it: flags joined by semicolons, nothing for what is not known."""
+    """Return a field of a record as a cell holds it: flags joined by semicolons, an empty text for None."""
     if isinstance(value, tuple):
         return ";".join(map(cell_text, value))
     if isinstance(value, Fraction):

@@ -90,11 +90,7 @@ def verify(
 
 
 def _verify_dataset(
-    manifest: Manifest,
-    folder: Path,
-    cameras: Collection[str] | None,
-    level: Level,
-    workers: Workers,
+    manifest: Manifest, folder: Path, cameras: Collection[str] | None, level: Level, workers: Workers
 ) -> DatasetReport:
     records = [record for record in manifest.records if not cameras or record.camera in cameras]
     # Two datasets may share a folder and have one each in it (SID/Sony, SID/Fuji): a copy of one may lack the other.
@@ -112,12 +108,7 @@ def _verify_dataset(
 
 
 def check_files(
-    manifest: Manifest,
-    folder: Path,
-    records: Sequence[FrameRecord],
-    *,
-    level: Level,
-    workers: Workers,
+    manifest: Manifest, folder: Path, records: Sequence[FrameRecord], *, level: Level, workers: Workers
 ) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...], tuple[FileRemark, ...], dict[str, MeanLevels | None]]:
     """Check some of a manifest's files; return the problems, the records of files that are there, remarks, levels.
 
@@ -133,7 +124,7 @@ def check_files(
         files = FrameFiles.of(folder.absolute(), manifest.card, present)
         work = partial(check_file, files, manifest.card.cameras, level)
         outcomes = workers.attempt(work, present, label=f"{manifest.name} ({level})")
-        checked = {record.path: _as_checked(outcome) for record, outcome in zip(present, outcomes, strict=True)}
+        checked = {record.path: _take_outcome(outcome) for record, outcome in zip(present, outcomes, strict=True)}
         problems += [problem for outcome in checked.values() for problem in outcome.problems]
         product_of = {path: outcome.product for path, outcome in checked.items()}
         remarks = distinct((path, outcome.remarks) for path, outcome in checked.items())
@@ -145,7 +136,7 @@ def check_files(
     return tuple(problem.of(manifest.name) for problem in ordered), tuple(present), remarks, levels_dn
 
 
-def _as_checked(outcome: CheckedFile | Failed[FrameRecord]) -> CheckedFile:
+def _take_outcome(outcome: CheckedFile | Failed[FrameRecord]) -> CheckedFile:
     if not isinstance(outcome, Failed):
         return outcome
     advice = "make it readable where the check runs, and check again"
@@ -155,7 +146,7 @@ def _as_checked(outcome: CheckedFile | Failed[FrameRecord]) -> CheckedFile:
 def _check_presence(
     manifest: Manifest, folder: Path, records: Sequence[FrameRecord]
 ) -> tuple[list[FrameRecord], list[Problem]]:
-    """Return the records whose files can be looked into, and what is wrong with the rest."""
+    """Return the records whose files can be opened, and the problems of the others."""
     present: list[FrameRecord] = []
     problems: list[Problem] = []
     missing: dict[str, list[FrameRecord]] = defaultdict(list)

@@ -36,7 +36,7 @@ class Problem:
         return in_line(f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}")
 
     def of(self, dataset: str) -> Problem:
-        """Say of which dataset it is."""
+        """Return the problem with its dataset's name."""
         return replace(self, dataset=dataset)
 
     def format_text(self) -> str:
@@ -48,7 +48,7 @@ class Problem:
 
 
 row_fault = partial(Problem, "")
-"""A problem of a manifest's row, before somebody says of which dataset it is."""
+"""A problem of a manifest's row, still without its dataset's name."""
 
 
 @dataclass(frozen=True, slots=True)

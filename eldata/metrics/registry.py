@@ -6,10 +6,10 @@ and help read the entry. Nothing heavy is imported here: help shows it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-from eldata.base.numbers import Figure
 from eldata.errors import check_choice
 
 Rescaling = Literal["none", "scalar"]
@@ -17,6 +17,65 @@ PredictionClamp = Literal["both", "before", "none"]
 Rounding = Literal["none", "8-bit", "8-bit-truncated"]
 SsimWindow = Literal["uniform-7", "gaussian-11", "gaussian-11-volume"]
 Covariance = Literal["sample", "population"]
+Better = Literal["higher", "lower", "neither"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """A score, such as PSNR, as every place shows it.
+
+    Attributes
+    ----------
+    name
+        Its column in CSV and key in JSON, such as ``psnr_db``.
+    label
+        Its name in tables and sentences, in plain letters, such as ``PSNR``.
+    meaning
+        One line that explains it.
+    decimals
+        Of a mean in a table.
+    fine_decimals
+        Of a difference of two, and of one value among many. Default: ``decimals``.
+    unit
+        In plain letters, such as ``dB``; empty: it has none.
+    better
+        Which of two values is the better one.
+    computed_by
+        The function that does it, ``module:name``, so that a declaration imports nothing; empty: it is not stated.
+    """
+
+    name: str
+    label: str
+    meaning: str
+    decimals: int
+    fine_decimals: int | None = None
+    unit: str = ""
+    better: Better = "neither"
+    computed_by: str = ""
+
+    @property
+    def heading(self) -> str:
+        """Its label with the unit, as the head of a column of text, Markdown and LaTeX: ``PSNR [dB]``."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+    @property
+    def sign(self) -> int:
+        """1 if a higher value is better, -1 if a lower one is, else 0: times a difference, who is ahead."""
+        return {"higher": 1, "lower": -1, "neither": 0}[self.better]
+
+    def format(self, value: float) -> str:
+        """Return a mean as tables show it: nan as ``-``, an infinite one as ``inf``."""
+        return "-" if math.isnan(value) else f"{value:.{self.decimals}f}"
+
+    def format_single(self, value: float, sign: str = "") -> str:
+        """Return one value among many, such as one image's; ``sign`` ``+`` writes a plus sign, too."""
+        decimals = self.decimals if self.fine_decimals is None else self.fine_decimals
+        return "-" if math.isnan(value) else f"{value:{sign}.{decimals}f}"
+
+    def format_difference(self, value: float) -> str:
+        """Return a difference of two values with its sign."""
+        return self.format_single(value, "+")
+
 
 OF_FRAMES: Final = {
     figure.name: figure

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from dataclasses import MISSING, asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
 
-from eldata.base.tables import block, facts
+from eldata.base.tables import block, table
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, check_choice
 from eldata.metrics.registry import (
@@ -74,7 +74,7 @@ class _Described(ABC):
 
     def _repr_html_(self) -> str:
         stated = [(name, _shown(value)) for name, value in self.as_dict().items() if value not in ("", [], None)]
-        return block(f"Protocol {self.as_dict()['name']}", facts([*stated, ("digest", self.digest)]))
+        return block(f"Protocol {self.as_dict()['name']}", table((), [*stated, ("digest", self.digest)], left=(0, 1)))
 
 
 def _shown(value: Any) -> str:

@@ -35,13 +35,12 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from eldata.base.numbers import Figure
     from eldata.evaluation.looking import Grouping
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
     from eldata.manifest.catalogue import FrameFiles
-    from eldata.metrics.registry import Kind
+    from eldata.metrics.registry import Figure, Kind
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip
     from eldata.reports.html import Plot

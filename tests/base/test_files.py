@@ -5,16 +5,12 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import signal
 import socket
-import subprocess
-import sys
 from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
-import eldata.base.files
 from eldata.base.arrays import declared_array
 from eldata.base.files import (
     atomic_write,
@@ -30,9 +26,8 @@ from eldata.base.files import (
 from eldata.errors import EldataError, FileError, ManifestError
 from tests.cases import in_one_test
 from tests.syncing import OnDisk
-from tests.waiting import PATIENCE_S
 
-OLD, NEW = b"old content", b"new content\n" * 1000
+OLD = b"old content"
 
 
 @pytest.fixture
@@ -126,58 +121,32 @@ def test_a_new_file_is_on_the_disk_before_it_takes_the_old_ones_place(
     assert disk.named == {old.name: True}
 
 
-@pytest.mark.parametrize("error", [ValueError("x"), KeyboardInterrupt(), SystemExit(3)], ids=repr)
+@in_one_test("error", [ValueError("x"), KeyboardInterrupt()])
 def test_an_error_inside_leaves_the_old_file_alone(error: BaseException, old: Path) -> None:
     def write() -> None:
         with atomic_write(old) as file:
-            file.write(NEW)
+            file.write(b"new content" * 1000)
             raise error
 
-    with pytest.raises(type(error)) as caught:
+    with pytest.raises(type(error)):
         write()
-    assert caught.value is error
     assert only(old, OLD)
 
 
-KILLED = """
-import os, signal, sys
-from eldata.base.files import atomic_write
-with atomic_write(sys.argv[1]) as file:
-    file.write(b"new content" * 100000)
-    file.flush()
-    os.fsync(file.fileno())
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
-@pytest.mark.kill
-def test_kill_9_in_the_middle_leaves_the_old_file_intact(old: Path) -> None:
-    env = {**os.environ, "PYTHONPATH": str(Path(eldata.base.files.__file__).parents[2])}
-    done = subprocess.run([sys.executable, "-c", KILLED, str(old)], timeout=PATIENCE_S, env=env)
-    assert done.returncode == -signal.SIGKILL
-    assert old.read_bytes() == OLD
-    # What is left behind is hidden, and the next writer of the file removes it.
-    (left,) = set(old.parent.iterdir()) - {old}
-    assert left.name.startswith(".")
-    assert left.name.endswith(".part")
-    with atomic_write(old) as file:
-        file.write(NEW)
-    assert only(old, NEW)
-
-
-def leftovers(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir() if path.name.endswith(".part")}
+def leftovers(folder: Path) -> int:
+    return len(list(folder.glob(".*.part")))
 
 
 def test_what_is_being_written_is_not_a_leftover(old: Path) -> None:
     """Two writers of one file, and somebody who tidies: neither takes the other's away, and the last one wins."""
+    old.with_name(f".{old.name}.eldata.part").write_bytes(b"of a process that was killed")
     with atomic_write(old) as first:
         first.write(b"first")
         with atomic_write(old) as second:
             second.write(b"second")
-            assert len(leftovers(old.parent)) == 2
+            assert leftovers(old.parent) == 2
             remove_leftovers(old.parent)
-            assert len(leftovers(old.parent)) == 2
+            assert leftovers(old.parent) == 2
         assert old.read_bytes() == b"second"
     assert only(old, b"first")
 
@@ -240,18 +209,22 @@ def test_what_cannot_be_written_is_known_before_and_nothing_is_touched(kind: str
 # --- sha256_of ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("content", [b"", bytes(range(256)) * 20_000], ids=["empty", "5 MB"])
-def test_sha256_is_that_of_the_bytes(content: bytes, tmp_path: Path) -> None:
-    (tmp_path / "a").write_bytes(content)
-    assert sha256_of(tmp_path / "a") == "sha256:" + hashlib.sha256(content).hexdigest()
+def test_sha256_is_that_of_the_bytes(tmp_path: Path) -> None:
+    for content in (b"", bytes(range(256)) * 20_000):
+        (tmp_path / "a").write_bytes(content)
+        assert sha256_of(tmp_path / "a") == "sha256:" + hashlib.sha256(content).hexdigest()
     (tmp_path / "a").write_bytes(b"abc")  # FIPS 180-2, appendix B.1
     assert sha256_of(tmp_path / "a") == "sha256:ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    with pytest.raises(IsADirectoryError, match=tmp_path.name):
+        sha256_of(tmp_path)
 
 
 # --- path_problem and inside --------------------------------------------------------------------------------
 
 SAFE = ["SonyA7S2/scene-1/IMG_0004.ARW", "scene 1/ä.dng", "..a/b..", ".hidden", "...", "a/b:c", "~/a", "-rf", "a" * 200]
 UNSAFE = {
+    "more than 255 characters": ["a/" + "b" * 256],
+    "more than 4096 characters": ["abc/" * 1024 + "d"],
     "is empty": [""],
     "is absolute": ["/etc/passwd", "//server/share", "/"],
     "'..' part": ["..", "../a", "a/../../b", "a/..", ".", "a/./b", "./a", "a//b", "a/"],
@@ -261,21 +234,11 @@ UNSAFE = {
 }
 
 
-@in_one_test("path", SAFE)
-def test_plain_relative_paths(path: str, tmp_path: Path) -> None:
-    assert path_problem(path) is None
-    assert inside(tmp_path, path) == tmp_path / path
-
-
 @in_one_test("path, problem", [(path, problem) for problem, paths in UNSAFE.items() for path in paths])
 def test_unsafe_paths(path: str, problem: str, tmp_path: Path) -> None:
-    found = path_problem(path)
-    assert found is not None
-    assert problem in found
-    with pytest.raises(ManifestError, match="path ") as caught:
+    assert problem in (path_problem(path) or "")
+    with pytest.raises(ManifestError, match=re.escape(f"path {path!r} ")):
         inside(tmp_path, path)
-    assert repr(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.fixture
@@ -295,7 +258,8 @@ def test_files_and_links_inside(root: Path) -> None:
     (root / "c").symlink_to("scene-1")
     (root / "scene-1" / "up").symlink_to("..")
     (root / "dangling").symlink_to("scene-1/not yet there")
-    for path in ("scene-1/a.ARW", "b.ARW", "c/a.ARW", "scene-1/up/c/a.ARW", "dangling", "not/yet/there"):
+    for path in ("scene-1/a.ARW", "b.ARW", "c/a.ARW", "scene-1/up/c/a.ARW", "dangling", "not/yet/there", *SAFE):
+        assert path_problem(path) is None
         assert inside(root, path) == root / path
 
 

@@ -28,12 +28,6 @@ def test_small_seeds_give_what_they_always_gave() -> None:
     np.testing.assert_array_equal(purpose_sequence(7, 3, 2, 1).generate_state(4), state)
 
 
-def test_numpy_alone_takes_a_large_seed_for_a_small_one() -> None:
-    """Or these functions would not be needed."""
-    large, small = np.random.default_rng([2**32, 5, 0]), np.random.default_rng([0, 1, 5])
-    assert large.bit_generator.state == small.bit_generator.state
-
-
 def test_no_two_places_share_a_stream() -> None:
     """28 seeds, 5 epochs; 5 items and 6 other purposes of each: states of 128 bits differ, all 1540."""
     states: dict[Any, int] = {}

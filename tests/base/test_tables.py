@@ -22,21 +22,6 @@ def test_columns_are_aligned() -> None:
     assert text_table(("name", "n"), [("a", "10")], left=()) == "name   n\n----  --\n   a  10"
 
 
-def test_wide_texts_are_broken_where_lines_have_an_end() -> None:
-    rows = [("a", "12", "the end-to-end test of a licence"), ("b", "1", "short")]
-    assert text_table(("name", "n", "text"), rows, left=(0, 2), columns=26) == (
-        "name   n  text\n"
-        "----  --  ----------------\n"
-        "a     12  the end-to-end\n"
-        "          test of a\n"
-        "          licence\n"
-        "b      1  short"
-    )  # fmt: skip
-    narrow, wide = (text_table(("name", "n", "text"), rows, left=(0, 2), columns=many) for many in (5, 200))
-    assert narrow == text_table(("name", "n", "text"), rows, left=(0, 2), columns=26), "16 characters are the least"
-    assert wide == text_table(("name", "n", "text"), rows, left=(0, 2))
-
-
 # --- Markdown -----------------------------------------------------------------------------------------------------
 
 HOSTILE = "a_b*c|d`e`<img src=x>[f](javascript:g)~h~ \\ $i$ &amp; \n# {j}"

@@ -11,14 +11,22 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from functools import partial
+from operator import attrgetter
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may be there or not
 import pytest
 
-from eldata.base.workers import Workers
+from eldata.base import workers
+from eldata.base.workers import Failed, Processes, Workers
 from eldata.errors import ArgumentError
+from tests.base.clusters.work import Task
+from tests.cases import in_one_test
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -37,19 +45,88 @@ def no_process_is_left() -> Iterator[None]:
     assert workers_of(os.getpid()) == []
 
 
-@pytest.mark.parametrize("jobs", [1, 2, 3])
+@pytest.mark.parametrize("jobs", [1, 2])
 def test_results_come_in_the_units_order(jobs: int) -> None:
     """Earlier units take longer, so that results arrive in another order than they are wanted."""
-    units = [f"{{{number}}}" for number in range(30)]
-    assert list(Workers(jobs).run(str.upper, units)) == units
-    assert list(Workers(jobs).run(time.sleep, [0.3, 0.0, 0.2, 0.0])) == [None] * 4
-    assert list(Workers(jobs).run(abs, list(range(-30, 0)))) == list(range(30, 0, -1))
+    with Workers(jobs).sharing() as shared:
+        assert list(shared.run(time.sleep, [0.3, 0.0, 0.2, 0.0])) == [None] * 4
+        assert list(shared.run(abs, list(range(-30, 0)))) == list(range(30, 0, -1))
 
 
-@pytest.mark.parametrize("jobs", [0, -1])
-def test_there_must_be_a_job(jobs: int) -> None:
-    with pytest.raises(ArgumentError, match=f"workers must be 1 or more; found {jobs}"):
-        list(Workers(jobs).run(abs, [1]))
+@in_one_test(
+    "given, said",
+    [
+        (0, "workers must be 1 or more; found 0"),
+        (-1, "workers must be 1 or more; found -1"),
+        ("two", "workers must be a whole number or an executor; found 'two'"),
+    ],
+)
+def test_what_is_no_workers(given: Any, said: str) -> None:
+    with pytest.raises(ArgumentError, match=said):
+        Workers.of(given)
+
+
+class Dying(Processes):
+    """Runs calls in two threads; the worker of the unit 3 is lost some times, at once."""
+
+    def __init__(self, times: int) -> None:
+        self._max_workers, self.times, self.checks, self.beside = 1, times, 0, 0
+        self.pool, self.others = ThreadPoolExecutor(2), list[Future[Any]]()
+
+    def submit(self, call: Any, /) -> Future[Any]:
+        if call.args[1].number != 3:
+            self.others.append(self.pool.submit(lambda: (time.sleep(0.01), call())[1]))
+            return self.others[-1]
+        self.beside, future = sum(not other.done() for other in self.others), Future[Any]()
+        if self.times > 0:
+            self.times -= 1
+            future.set_exception(BrokenProcessPool())
+        else:
+            future.set_result(call())
+        return future
+
+    def check(self) -> None:
+        self.checks += 1
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_unit_whose_worker_died_is_tried_once_more(times: int) -> None:
+    """If it ends that worker, too, it is a failure that names it; the other units are not."""
+    executor = Dying(times)
+    tasks = [Task(number, f"{number}.dng") for number in range(20)]
+    outcomes = list(Workers(executor=executor).attempt(attrgetter("number"), tasks))
+    executor.pool.shutdown()
+    assert (executor.times, executor.checks, executor.beside) == (0, 1, 0), "alone, at last"
+    if times == 2:
+        failed = outcomes[3]
+        assert isinstance(failed, Failed)
+        assert failed.unit == tasks[3]
+        assert failed.reason.startswith("3.dng: worker processes died at it again and again")
+        outcomes[3] = 3
+    assert outcomes == list(range(20))
+
+
+class Ended(BaseException):
+    """Stands for the end of this process."""
+
+
+def test_how_a_worker_process_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Told to, it unwinds its work, and that is no result; without work, or without its parent, it ends at once."""
+
+    def end(status: int) -> None:
+        raise Ended(status)
+
+    monkeypatch.setattr(os, "_exit", end)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(workers, "parent_process", lambda: SimpleNamespace(join=int))
+    with pytest.raises(SystemExit):
+        workers._run_elsewhere(partial(workers._unwind, signal.SIGTERM), None, os.getpid(), "")
+    with pytest.raises(Ended, match="143"):
+        workers._run_elsewhere(partial(workers._unwind, signal.SIGTERM), None, 0, "")
+    workers._AT_WORK.clear()
+    for end_now in (partial(workers._unwind, signal.SIGTERM, None), workers._end_with_parent):
+        with pytest.raises(Ended, match="143"):
+            end_now()
 
 
 UNGUARDED = """
@@ -150,10 +227,10 @@ def test_ctrl_c_ends_everything_and_is_told_once(tmp_path: Path) -> None:
         with pipe.open("wb"):
             for _ in range(4):
                 assert child.stdout.readline() == "one\n"
-            workers = workers_of(child.pid)
+            children = workers_of(child.pid)
             os.killpg(child.pid, signal.SIGINT)  # one worker works, and the other waits for work
         _, errors = child.communicate(timeout=PATIENCE_S)
-        assert psutil.wait_procs(workers, timeout=PATIENCE_S)[1] == []
+        assert psutil.wait_procs(children, timeout=PATIENCE_S)[1] == []
     assert child.returncode != 0
     assert errors.count("KeyboardInterrupt") == 1, errors
 
@@ -194,19 +271,14 @@ if __name__ == "__main__":
 
 @pytest.mark.kill
 @pytest.mark.parametrize(
-    ("work", "number"),
-    [
-        ("python", signal.SIGKILL),
-        ("released", signal.SIGKILL),
-        ("python", signal.SIGTERM),
-    ],
+    ("work", "number"), [("python", signal.SIGKILL), ("released", signal.SIGKILL), ("python", signal.SIGTERM)]
 )
 def test_workers_end_with_their_parent(work: str, number: int, tmp_path: Path) -> None:
     """However it ends, and whatever they do. Only the parent gets the signal, as from kill or a scheduler."""
     with started(ORPHANED, tmp_path, work) as child:
         assert child.stdout is not None
         assert [child.stdout.readline() for _ in range(2)] == ["begun\n"] * 2
-        workers = workers_of(child.pid)
+        children = workers_of(child.pid)
         child.send_signal(number)
         assert child.wait(PATIENCE_S) == -number
-        assert psutil.wait_procs(workers, timeout=PATIENCE_S)[1] == []
+        assert psutil.wait_procs(children, timeout=PATIENCE_S)[1] == []

@@ -52,7 +52,7 @@ def small(site: server.Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def know(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *downloads: Download) -> None:
     shelf = make_shelf(tmp_path / "shelf", *downloads)
-    monkeypatch.setattr(catalogue, "shipped_folder", lambda: shelf.folder)
+    monkeypatch.setattr(catalogue, "shipped_folder", lambda: shelf)
 
 
 # --- fetching ---------------------------------------------------------------------------------------------------------

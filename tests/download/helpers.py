@@ -1,16 +1,14 @@
 from __future__ import annotations
 
 import io
-import json
 import zipfile
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eldata.download.fetching import RangeDownloader, fetch_archive
 from eldata.manifest.card import CameraCard, Card, Download, save_card
-from eldata.manifest.catalogue import Manifest, load_manifest
 from eldata.manifest.table import save_records
 from eldata.records import FrameRecord
 
@@ -54,11 +52,12 @@ def zipped(files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes
     return buffer.getvalue()
 
 
-def sevenzipped(files: dict[str, bytes]) -> bytes:
+def sevenzipped(files: dict[str, bytes], *, encoded_header: bool = True) -> bytes:
     import py7zr
 
     buffer = io.BytesIO()
     with py7zr.SevenZipFile(buffer, "w") as archive:
+        archive.set_encoded_header_mode(encoded_header)
         for name, content in files.items():
             archive.writestr(content, name)
     return buffer.getvalue()
@@ -69,45 +68,19 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@dataclass(frozen=True)
-class Shelf:
-    """A folder of manifests such as the shipped ones, with one small dataset called ``small``."""
-
-    folder: Path
-
-    @property
-    def manifest(self) -> Manifest:
-        return load_manifest(self.folder / "small.csv")
-
-
-def make_shelf(folder: Path, *downloads: Download) -> Shelf:
+def make_shelf(folder: Path, *downloads: Download) -> Path:
+    """Write a folder of manifests such as the shipped ones, with one small dataset called ``small``."""
     folder.mkdir(parents=True, exist_ok=True)
     records = [
         FrameRecord(path=name, role="noisy", camera="SonyA7S2", scene="1", split="test") for name in file_names()
     ]
     save_records(folder / "small.csv", records)
     save_card(folder / "small.json", small_card(*downloads))
-    return Shelf(folder)
+    return folder
 
 
 def small_card(*downloads: Download) -> Card:
-    return Card(
-        name="small",
-        title="Small set",
-        version="1.0",
-        folder="SID",
-        citation="A. Author, A Paper, 2018",
-        licence="MIT",
-        homepage="https://example.org/small",
-        cfa="bayer",
-        cameras={"SonyA7S2": CameraCard(("ILCE-7SM2",))},
-        counts={"noisy": len(file_names())},
-        downloads=downloads,
-        known_defects=("Frame 3 is blurred.",),
-        sources=("The paper.",),
-    )
-
-
-def note_of(target: Path) -> dict[str, object]:
-    data: dict[str, object] = json.loads(target.with_name(f"{target.name}.part.json").read_text())
-    return data
+    texts = ("A. Author, A Paper, 2018", "MIT", "https://example.org/small", "bayer")
+    cameras, counts = {"SonyA7S2": CameraCard(("ILCE-7SM2",))}, {"noisy": len(file_names())}
+    card = Card("small", "Small set", "1.0", "SID", *texts, cameras, counts, downloads=downloads)
+    return replace(card, known_defects=("Frame 3 is blurred.",), sources=("The paper.",))

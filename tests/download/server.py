@@ -28,7 +28,6 @@ class Site:
         self.etag = '"one"'
         self.behaviours: list[Behaviour] = [serve]
         self.requests: list[dict[str, str]] = []
-        self.sent_bytes = 0
         self.over = threading.Event()
 
     def then(self, *behaviours: Behaviour) -> None:
@@ -55,7 +54,8 @@ class Handler(BaseHTTPRequestHandler):
     def start(self, status: int, **headers: object) -> None:
         self.send_response(status)
         for name, value in headers.items():
-            self.send_header(name.replace("_", "-"), str(value))
+            if value is not None:
+                self.send_header(name.replace("_", "-"), str(value))
         self.end_headers()
 
     def cut(self) -> None:
@@ -85,7 +85,6 @@ def answer(handler: Handler, site: Site, *, most: int | None = None, shift: int 
         headers["Content_Range"] = f"bytes {start}-{total - 1}/{total}"
     handler.start(206 if start is not None else 200, Content_Length=len(body) + shift, **headers)
     handler.wfile.write(body[:most])
-    site.sent_bytes += len(body[:most])
     if shift or most is not None:
         handler.cut()
 
@@ -104,7 +103,6 @@ def endless(handler: Handler, site: Site) -> None:
     piece = site.content[:5000]
     while True:
         handler.wfile.write(b"%x\r\n%s\r\n" % (len(piece), piece))
-        site.sent_bytes += len(piece)
 
 
 def claiming(shift: int) -> Behaviour:
@@ -119,21 +117,15 @@ def redirect(target: str) -> Behaviour:
     return lambda handler, _site: handler.start(302, Location=target, Content_Length=0)
 
 
-def without_ranges(most: int | None = None) -> Behaviour:
+def whole(content: bytes | None = None, most: int | None = None, **headers: object) -> Behaviour:
+    """Answer without a look at the range: the content, or its first bytes and then the end of the connection."""
+
     def behaviour(handler: Handler, site: Site) -> None:
-        handler.start(200, Content_Length=len(site.content), ETag=site.etag)
-        handler.wfile.write(site.content[:most])
+        body = site.content if content is None else content
+        handler.start(200, **({"Content_Length": len(body), "ETag": site.etag} | headers))
+        handler.wfile.write(body[:most])
         if most is not None:
             handler.cut()
-
-    return behaviour
-
-
-def without_mark(most: int | None = None) -> Behaviour:
-    def behaviour(handler: Handler, site: Site) -> None:
-        handler.start(200, Content_Length=len(site.content))
-        handler.wfile.write(site.content[:most])
-        handler.cut()
 
     return behaviour
 
@@ -142,16 +134,8 @@ def silent(_handler: Handler, site: Site) -> None:
     site.over.wait(PATIENCE_S)
 
 
-def without_length(handler: Handler, site: Site) -> None:
-    handler.start(200, ETag=site.etag, Connection="close")
-    handler.wfile.write(site.content)
-    handler.cut()
-
-
-def page(handler: Handler, site: Site) -> None:
-    body = b"<!DOCTYPE html><title>Google Drive - Virus scan warning</title>" + b" " * 2000
-    handler.start(200, Content_Length=len(body), Content_Type="text/html", ETag=site.etag)
-    handler.wfile.write(body)
+without_length = whole(most=1 << 30, Content_Length=None, Connection="close")
+page = whole(b"<!DOCTYPE html><title>Google Drive - Virus scan warning</title>" + b" " * 2000, Content_Type="text/html")
 
 
 class _Quiet(ThreadingHTTPServer):

@@ -5,18 +5,18 @@ from __future__ import annotations
 import gzip
 import io
 import os
-import random
 import stat
 import struct
 import zipfile
 import zlib
+from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
 
 from eldata.download import archives
 from eldata.download.archives import STAGING, read_members, unpack_archive
-from eldata.errors import ArchiveError, EldataError, ManifestError
+from eldata.errors import ArchiveError, ManifestError
 from tests.download.helpers import contents, sevenzipped, tree, zipped
 
 if TYPE_CHECKING:
@@ -29,23 +29,11 @@ FILES = contents()
 NAMES = tuple(sorted(FILES))
 
 
-def plain_sevenzip(files: dict[str, bytes]) -> bytes:
-    """A 7z archive whose header is not packed."""
-    import py7zr
-
-    buffer = io.BytesIO()
-    with py7zr.SevenZipFile(buffer, "w") as archive:
-        archive.set_encoded_header_mode(False)
-        for name, content in files.items():
-            archive.writestr(content, name)
-    return buffer.getvalue()
-
-
 PACKERS: dict[str, Callable[[dict[str, bytes]], bytes]] = {
     "zip": zipped,
     "zip-stored": lambda files: zipped(files, zipfile.ZIP_STORED),
     "7z": sevenzipped,
-    "7z-plain": plain_sevenzip,
+    "7z-plain": partial(sevenzipped, encoded_header=False),
 }
 
 
@@ -104,12 +92,10 @@ def test_what_differs_is_left_alone(change: str, tmp_path: Path) -> None:
     assert place.is_symlink() == (change == "link")
 
 
-@pytest.mark.parametrize("link", ["Sony/short"])
-def test_a_link_that_leads_out_is_not_followed(link: str, tmp_path: Path) -> None:
+def test_a_link_that_leads_out_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "outside").mkdir()
-    place = tmp_path / "SID" / link
-    place.parent.mkdir(parents=True, exist_ok=True)
-    place.symlink_to(tmp_path / "outside")
+    (tmp_path / "SID" / "Sony").mkdir(parents=True)
+    (tmp_path / "SID" / "Sony" / "short").symlink_to(tmp_path / "outside")
     with pytest.raises(ManifestError, match="leads outside"):
         unpack(save(tmp_path, zipped(FILES)), tmp_path / "SID")
     assert list((tmp_path / "outside").iterdir()) == []
@@ -142,29 +128,19 @@ def with_mode(mode: int) -> bytes:
     return buffer.getvalue()
 
 
-def encrypted() -> bytes:
+def packed_by(method: int, flags: int = 0) -> bytes:
     content = bytearray(zipped({"a": b"x"}))
     for mark, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
-        content[content.index(mark) + offset] |= 1
+        struct.pack_into("<HH", content, content.index(mark) + offset, flags, method)
     return bytes(content)
 
 
-def packed_by(method: int) -> bytes:
-    content = bytearray(zipped({"a": b"x"}))
-    for mark, offset in ((b"PK\x03\x04", 8), (b"PK\x01\x02", 10)):
-        struct.pack_into("<H", content, content.index(mark) + offset, method)
-    return bytes(content)
-
-
-def twice() -> bytes:
-    content = zipped({"a1": b"x", "a2": b"y"})
-    return content.replace(b"a2", b"a1")
-
-
-def renamed(content: bytes, old: str, new: str) -> bytes:
-    """A 7z archive with a member's name changed in its plain header, and the header's checksums made right again."""
+def renamed(name: str) -> bytes:
+    """A 7z archive whose member got this name of ten letters in its plain header, its checksums mended."""
+    content = sevenzipped({"aa/bb/evil": b"x" * 50}, encoded_header=False)
     offset, size, _ = struct.unpack_from("<QQL", content, 12)
-    header = content[32 + offset : 32 + offset + size].replace(old.encode("utf-16le"), new.encode("utf-16le"))
+    header = content[32 + offset : 32 + offset + size]
+    header = header.replace("aa/bb/evil".encode("utf-16le"), name.encode("utf-16le"))
     start = struct.pack("<QQL", offset, size, zlib.crc32(header))
     return content[:8] + struct.pack("<L", zlib.crc32(start)) + start + content[32 : 32 + offset] + header
 
@@ -184,14 +160,14 @@ OUTSIDE = ("../evil", "Sony/../../evil", "/etc/evil", "C:/evil", "..\\evil", "So
         (packed_by(9), ["method (9)", "by hand (7z x)"]),
         (packed_by(12), ["method (12)", "by hand (7z x)"]),
         (packed_by(14), ["method (14)", "by hand (7z x)"]),
-        (encrypted(), ["is encrypted"]),
+        (packed_by(8, flags=1), ["is encrypted"]),
         (with_mode(stat.S_IFLNK), ["'Sony/a'", "a link"]),
         (with_mode(stat.S_IFIFO), ["'Sony/a'", "a device"]),
-        (twice(), ["would be one file"]),
+        (zipped({"a1": b"x", "a2": b"y"}).replace(b"a2", b"a1"), ["would be one file"]),
         (zipped({"n/" * 30_000 + "a": b"x"}), ["more than"]),
         (zipped({"Sony/" + "n" * 300: b"x"}), ["more than 255 characters"]),
-        (renamed(plain_sevenzip({"aa/bb/evil": b"x" * 50}), "aa/bb/evil", "../../evil"), ["'..' part"]),
-        (renamed(plain_sevenzip({"aa/bb/evil": b"x" * 50}), "aa/bb/evil", "/a/bb/evil"), ["absolute"]),
+        (renamed("../../evil"), ["'..' part"]),
+        (renamed("/a/bb/evil"), ["absolute"]),
         *((zipped({"Sony/good": b"x", name: b"x"}), ["by hand"]) for name in OUTSIDE),
         *(
             (zipped({first: b"x", second: b"y"}), ["would be one file", repr(first)])
@@ -239,41 +215,3 @@ def test_a_member_longer_than_stated(tmp_path: Path) -> None:
     with pytest.raises(ArchiveError, match="damaged"):
         unpack(save(tmp_path, bytes(content)), tmp_path / "SID")
     assert all(path.stat().st_size <= 10 for path in (tmp_path / "SID").rglob("a"))
-
-
-# --- damage -----------------------------------------------------------------------------------------------------------
-
-
-def damaged(content: bytes, rng: random.Random) -> bytes:
-    """Cut, changed or with bytes lost; half the time with the checksums of a 7z's headers made right again."""
-    data = bytearray(content)
-    for _ in range(rng.randint(1, 3)):
-        at = rng.randrange(len(data))
-        if rng.random() < 0.7:  # headers, which lie at the end, more often than pixels
-            at = max(0, len(data) - 1 - rng.randrange(400))
-        data[at : at + 8] = rng.choice((b"", b"\xff" * 8, bytes(8), rng.randbytes(8), data[at : at + 7] + b"?"))
-    if rng.random() < 0.2:
-        del data[rng.randrange(len(data)) :]
-    if data.startswith(b"7z") and rng.random() < 0.5 and len(data) > 32:
-        offset, size = struct.unpack_from("<QQ", data, 12)
-        crc = zlib.crc32(data[32 + offset : 32 + offset + size]) if offset < len(data) else 0
-        struct.pack_into("<L", data, 28, crc)
-        struct.pack_into("<L", data, 8, zlib.crc32(data[12:32]))
-    return bytes(data)
-
-
-@pytest.mark.parametrize("kind", PACKERS)
-def test_damage_anywhere_is_one_line_or_none(kind: str, tmp_path: Path) -> None:
-    """Whatever the libraries raise on nonsense; and what is read without an error is right, where a CRC says so."""
-    content, rng = PACKERS[kind](FILES), random.Random(0)  # noqa: S311 # to be repeated
-    refusals: list[str] = []
-    for trial in range(60):
-        path, folder = save(tmp_path, damaged(content, rng)), tmp_path / str(trial)
-        try:
-            unpack(path, folder)
-        except EldataError as error:
-            refusals.append(str(error))
-        else:
-            assert all(body == FILES[name] for name, body in tree(folder).items() if name in FILES), trial
-    assert not any("\n" in refusal for refusal in refusals)
-    assert len(refusals) > 15

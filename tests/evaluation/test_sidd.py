@@ -148,7 +148,7 @@ def blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ((8, 8, 32, 32), r"holds 64 blocks, and the manifest lists 1280"),
         ((32, 32, 8, 8), r"holds 1024 blocks, and the manifest lists 1280"),
         ((64, 64, 40, 32), r"holds 4096 blocks, and the manifest lists 1280"),
-        ((1024, 8, 8), r"expected one array of blocks, .*found \[\('ValidationNoisyBlocksRaw', \(1024, 8, 8\)"),
+        ((1024, 8, 8), r"expected an array of blocks, .*found \[\('ValidationNoisyBlocksRaw', \(1024, 8, 8\)"),
     ],
 )
 def test_blocks_are_unpacked_whole_or_refused(shape: tuple[int, ...], words: str, tmp_path: Path) -> None:

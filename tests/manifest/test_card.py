@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
-import copy
 import json
+import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from eldata.errors import ManifestError
-from eldata.manifest.card import CFA_WORDS, CameraCard, Card, Download, cfa_word, load_card, save_card
-from eldata.manifest.catalogue import load_manifest
+from eldata.manifest.card import (
+    CFA_WORDS,
+    CameraCard,
+    Card,
+    Download,
+    Subset,
+    card_text,
+    cfa_word,
+    load_card,
+    save_card,
+)
+from eldata.manifest.catalogue import load_manifest, save_manifest
+from eldata.raw.stated import MosaicFacts
 from tests.cases import in_one_test
+from tests.syncing import OnDisk
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,30 +46,14 @@ CARD = Card(
     known_defects=("frame 7 is blurred",),
     sources=("the paper's table 1",),
     scenes_shared=False,
+    subsets=(Subset("all", "All", "paper", 12), Subset("first", "First", "paper", 3, first=True)),
+    mosaics=(MosaicFacts("*.npy", "GBRG", (240.0,), 4095.0),),
 )
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "set.json"
-
-
-def data() -> dict[str, Any]:
-    return {
-        "name": "set",
-        "title": "A set",
-        "version": "1.0",
-        "folder": "SET",
-        "citation": "A. Author",
-        "licence": "MIT",
-        "homepage": "https://example.org",
-        "cfa": "bayer",
-        "cameras": {"Cam": {"models": ["CAM-1"]}},
-        "counts": {"noisy": 1, "reference": 1},
-        "downloads": [{"address": "https://example.org/a.zip", "size_bytes": 5, "notes": ""}],
-        "known_defects": ["one"],
-        "sources": ["two"],
-    }
 
 
 def test_round_trip(path: Path) -> None:
@@ -67,21 +63,16 @@ def test_round_trip(path: Path) -> None:
 
 
 def test_optional_fields_may_be_left_out(path: Path) -> None:
-    least = data()
-    del least["downloads"], least["known_defects"], least["sources"]
-    path.write_text(json.dumps(least), encoding="utf-8")
-    assert (load_card(path).downloads, load_card(path).scenes_shared) == ((), True)
-    least["downloads"] = [{"address": "https://example.org/a.zip"}]
-    path.write_text(json.dumps(least), encoding="utf-8")
-    assert load_card(path).downloads == (Download("https://example.org/a.zip", None, ""),)
-    assert load_card(path).protocol == "raw", "a set of one's own"
-    path.write_text(json.dumps(least | {"protocol": "eld"}), encoding="utf-8")
-    assert load_card(path).protocol == "eld"
+    least = {name: value for name, value in json.loads(card_text(CARD)).items() if name in REQUIRED}
+    path.write_text(json.dumps(least | {"downloads": [{"address": "https://example.org/b.zip"}]}), encoding="utf-8")
+    card = load_card(path)
+    assert (card.downloads, card.scenes_shared, card.known_defects) == (CARD.downloads[1:], True, ())
+    assert card.protocol == "raw", "a set of one's own"
 
 
 def spoilt(where: tuple[str | int, ...], value: Any) -> dict[str, Any]:
-    content = copy.deepcopy(data())
-    target: Any = content
+    target: Any = json.loads(card_text(CARD))
+    content: dict[str, Any] = target
     for key in where[:-1]:
         target = target[key]
     if value is DELETE:
@@ -114,11 +105,17 @@ REQUIRED = ("name", "title", "version", "folder", "citation", "licence", "homepa
         (("colour",), "red", "colour"),
         *[(("folder",), name, "folder") for name in ("../SET", "/SET", "a/b", "", "..", "C:")],
         (("cfa",), "Bayer", "cfa"),
-        (("cameras", "Cam"), ["CAM-1"], "cameras.Cam"),
-        (("cameras", "Cam"), {}, "cameras.Cam.models"),
-        (("cameras", "Cam", "models"), "CAM-1", "cameras.Cam.models"),
-        (("cameras", "Cam", "models"), [1], "cameras.Cam.models[0]"),
-        (("cameras", "Cam", "lens"), "50", "cameras.Cam.lens"),
+        (("cameras", "XT2"), ["X-T2"], "cameras.XT2"),
+        (("cameras", "XT2"), {}, "cameras.XT2.models"),
+        (("cameras", "XT2", "models"), "X-T2", "cameras.XT2.models"),
+        (("cameras", "XT2", "models"), [1], "cameras.XT2.models[0]"),
+        (("cameras", "XT2", "lens"), "50", "cameras.XT2.lens"),
+        (("cameras", "X\u202eT2"), {"models": []}, "cameras.'X\\u202eT2'"),
+        (("subsets", 1, "name"), "all", "subsets[1].name"),
+        (("mosaics", 0, "cfa"), "RGBG", "mosaics[0].cfa"),
+        (("mosaics", 0, "black_level_dn"), [1, 2], "mosaics[0].black_level_dn"),
+        (("mosaics", 0, "white_level_dn"), 240, "mosaics[0].white_level_dn"),
+        (("mosaics", 0, "bits"), 10, "mosaics[0].bits"),
         *[(("counts", "noisy"), value, "counts.noisy") for value in ("1", 1.0, True)],
         (("scenes_shared",), "no", "scenes_shared"),
         (("downloads",), {}, "downloads"),
@@ -162,3 +159,18 @@ def test_a_lost_row_is_noticed(tree: Tree) -> None:
     tree.csv.write_text("".join(lines[:-2] + lines[-1:]), encoding="utf-8")
     with pytest.raises(ManifestError, match="the card expects"):
         load_manifest(tree.csv)
+
+
+def test_rows_are_on_the_disk_before_the_card_gets_its_name(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And they get theirs last: where the rows are the new ones, so is the card."""
+    disk, renamed = OnDisk(monkeypatch), []
+    rename = os.replace
+
+    def replace_file(source: Path, target: Path) -> None:
+        renamed.append((target.suffix, [disk.has(part) for part in tree.csv.parent.glob(".*.csv.eldata.part")]))
+        rename(source, target)
+
+    monkeypatch.setattr(os, "replace", replace_file)
+    manifest = tree.manifest
+    save_manifest(tree.csv, replace(manifest.card, version="2"), manifest.records)
+    assert renamed == [(".json", [True]), (".csv", [True])]

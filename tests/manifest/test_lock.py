@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
+import sys
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import pytest
 
+from eldata.errors import FileError
 from eldata.manifest.lock import lock
 from eldata.manifest.verify import verify
 from tests.trees import Tree, flip_compressed_byte, frame, scale_exposure
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 
 def contents(tree: Tree) -> dict[str, bytes]:
@@ -38,20 +42,15 @@ def test_sizes_and_hashes_are_filled_in(tree: Tree) -> None:
     assert full.datasets[0].files_hashed == 32
 
 
-def cut(tree: Tree) -> None:
-    tree.file(4).write_bytes(tree.file(4).read_bytes()[:3000])
-
-
-def expose(tree: Tree) -> None:
-    scale_exposure(tree.file(4), Fraction(2))
-
-
-def lose(tree: Tree) -> None:
-    shutil.rmtree(tree.data)
-
-
-@pytest.mark.parametrize("harm", [cut, expose, lose])
-def test_a_copy_with_a_problem_is_not_locked(tree: Tree, harm: Callable[[Tree], None]) -> None:
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda tree: os.truncate(tree.file(4), 3000),
+        lambda tree: scale_exposure(tree.file(4), Fraction(2)),
+        lambda tree: shutil.rmtree(tree.data),
+    ],
+)
+def test_a_copy_with_a_problem_is_not_locked(tree: Tree, harm: Callable[[Tree], object]) -> None:
     """A hash of a damaged file would make the damage official."""
     before = contents(tree)
     harm(tree)
@@ -59,6 +58,21 @@ def test_a_copy_with_a_problem_is_not_locked(tree: Tree, harm: Callable[[Tree], 
     assert not report.checks.ok
     assert report.files_locked == 0
     assert contents(tree) == before
+
+
+def test_a_file_that_vanishes_while_it_is_hashed(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lose(path: Path) -> None:
+        raise FileError(path, "No such file")
+
+    before = contents(tree)
+    monkeypatch.setattr(sys.modules[lock.__module__], "require_files", lose)
+    problems = lock(tree.csv, tree.root).problems
+    assert [problem.path for problem in problems] == [record.path for record in tree.manifest.records]
+    assert {problem.field for problem in problems} == {"sha256"}
+    assert contents(tree) == before
+    monkeypatch.setattr("eldata.manifest.file_checks.require_files", lose)
+    problems = verify([tree.manifest], tree.root, level="metadata").problems
+    assert {(problem.field, problem.expected) for problem in problems} == {("check", "a finished check")}
 
 
 def test_a_recorded_hash_is_not_overruled(tree: Tree) -> None:

@@ -7,12 +7,11 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-import pytest
-
 from eldata.manifest.catalogue import save_manifest, shipped_folder, shipped_manifest
 from eldata.manifest.pairs import Choice
 from eldata.manifest.verify import verify
 from manifests.published_lrd import LrdScene, load_lrd_scenes, lrd_scenes_from_lists
+from tests.cases import in_one_test
 from tests.lrd_tree import write_frames
 from tests.trees import swap
 
@@ -52,7 +51,7 @@ def test_counts_are_those_of_the_lists() -> None:
     }
 
 
-@pytest.mark.parametrize("line", (TRAIN_LIST + TEST_LIST).splitlines())
+@in_one_test("line", (TRAIN_LIST + TEST_LIST).splitlines())
 def test_lines_of_the_lists(line: str) -> None:
     clean, noisy, iso, bias = line.split()
     by_path = {record.path: record for record in shipped_manifest("lrd").records}

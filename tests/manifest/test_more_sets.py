@@ -13,12 +13,7 @@ import pytest
 from eldata import evaluate
 from eldata.datasets import PairDataset
 from eldata.errors import ManifestError
-from eldata.manifest.catalogue import (
-    carded_names,
-    shipped_card,
-    shipped_manifest,
-    shipped_names,
-)
+from eldata.manifest.catalogue import carded_names, shipped_card, shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice
 from manifests.published_lrid import bursts_from_infos
 
@@ -85,61 +80,33 @@ def test_lrid_says_which_scenes_the_sensor_was_warm_in() -> None:
     """The numbers that hot_check has: 8, 14 and 25 scenes; the two outdoor ones that are scored among them."""
     records = shipped_manifest("lrid").records
     warm = {record.scene for record in records if record.role == "noisy" and "warm-sensor" in record.flags}
-    assert Counter(str(scene).partition("-")[0] for scene in warm) == {
-        "indoor_x5": 8,
-        "indoor_x3": 14,
-        "outdoor_x3": 25,
-    }
+    parts = Counter(str(scene).partition("-")[0] for scene in warm)
+    assert parts == {"indoor_x5": 8, "indoor_x3": 14, "outdoor_x3": 25}
     scored = {record.scene for record in records if record.split in ("eval", "test")}
     assert warm & scored == {"outdoor_x3-022", "outdoor_x3-051"}
-    assert {r.path: r.flags for r in records if r.role == "bias"} == {
-        "bias/6400/*.dng": (),
-        "bias-hot/6400/*.dng": ("warm-sensor",),
-    }
+    biases = {record.path: record.flags for record in records if record.role == "bias"}
+    assert biases == {"bias/6400/*.dng": (), "bias-hot/6400/*.dng": ("warm-sensor",)}
     assert all("nominal-ratio" in record.flags for record in records if record.role == "noisy")
 
 
-def info_files(folder: Path, change: Any = None) -> Path:
-    """Info files in the form of the published ones, pickles with more in them than paths."""
-    for part in LRID:
-        scenes = ("000", "001")
-        shorts: dict[int, list[dict[str, Any]]] = {}
-        for gain in (1, 2):
-            shorts[gain] = [
-                {
-                    "scene": scene,
-                    "dgain": gain,
-                    "ISO": 6400,
-                    "data": [
-                        f"E:/datasets/LRID\\{part}\\6400\\{gain}\\{scene}\\{gain}{scene}{shot}0_exp-{40000000 // gain}_"
-                        f"iso-6400_2022_08_20_23_41_54_31{shot}_33417423630756{shot}_orientation_180_camera-0.dng"
-                        for shot in range(2)
-                    ],
-                    "metadata": [{"ISO": 6400, "ExposureTime": 0.04, "name": "x", "time": "2022-08-20"}] * 2,
-                }
-                for scene in scenes
-            ]
-        references = [
-            {"name": f"{part}_gt_{scene}", "data": f"E:/datasets/LRID\\{part}\\npy\\GT_align_ours\\{scene}.npy"}
-            for scene in scenes
-        ]
-        if change is not None:
-            change(shorts, references)
-        folder.mkdir(exist_ok=True)
-        (folder / f"{part}_short.info").write_bytes(pickle.dumps(shorts, protocol=4))
-        (folder / f"{part}_GT_align_ours.info").write_bytes(pickle.dumps(references, protocol=4))
-    return folder
+class Harmful:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (self.path.touch, ())
 
 
 def test_an_info_file_is_not_run(tmp_path: Path) -> None:
-    class Harmful:
-        def __reduce__(self) -> tuple[Any, ...]:
-            return (tmp_path.joinpath("ran").touch, ())
-
-    def add(shorts: dict[int, Any], references: list[Any]) -> None:
-        shorts[1][0]["metadata"].append(Harmful())
-
-    assert len(bursts_from_infos(info_files(tmp_path / "infos", add))) == 12
+    """Pickles in the form of the published ones, with more in them than paths."""
+    file = "000000_exp-40000000_iso-6400_2022_08_20_23_41_54_31_0_orientation_180_camera-0.dng"
+    for part in LRID:
+        burst = {"scene": "000", "dgain": 1, "ISO": 6400, "data": [f"E:/datasets/LRID\\{part}\\6400\\1\\000\\{file}"]}
+        reference = {"name": f"{part}_gt_000", "data": f"E:/datasets/LRID\\{part}\\npy\\GT_align_ours\\000.npy"}
+        shorts = {1: [burst | {"metadata": [{"name": "x"}, Harmful(tmp_path / "ran")]}]}
+        (tmp_path / f"{part}_short.info").write_bytes(pickle.dumps(shorts, protocol=4))
+        (tmp_path / f"{part}_GT_align_ours.info").write_bytes(pickle.dumps([reference], protocol=4))
+    assert len(bursts_from_infos(tmp_path)) == len(LRID)
     assert not (tmp_path / "ran").exists()
 
 

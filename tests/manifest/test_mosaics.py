@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import io
 import re
 from dataclasses import replace
 from fractions import Fraction
@@ -18,8 +18,7 @@ from eldata import evaluate
 from eldata.base.files import sha256_of
 from eldata.cli.main import main
 from eldata.datasets import CalibrationFrames, CleanClips, CleanFrames, PairDataset, SyntheticPairs
-from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError, RawFileError, UnusableRawError
-from eldata.evaluation import scored_pairs
+from eldata.errors import ArgumentError, DatasetError, RawFileError, UnusableRawError
 from eldata.manifest import load_manifest, verify
 from eldata.manifest.card import CameraCard, Card, load_card, save_card
 from eldata.manifest.catalogue import FrameFiles, save_manifest
@@ -27,6 +26,7 @@ from eldata.raw import bayer_cfa, pack, pack_normalised, read_raw, write_dng
 from eldata.raw.levels import packed_frame
 from eldata.raw.stated import MosaicFacts, StatedFile
 from eldata.records import Exposure, FrameRecord, Sensor
+from tests.cases import in_one_test
 from tests.sidd_tree import save_matlab_73
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 SHAPE, BLACK, WHITE, CFA = (48, 64), 240.0, 4095.0, "GBRG"
 REFERENCE, NOISY = Exposure(Fraction(100), Fraction(1)), Exposure(Fraction(1600), Fraction(1, 1600))
 RATIO = Fraction(100)
+CARD = Card("own", "Own", "1", "own", "", "", "", "bayer", {"Cam": CameraCard(())}, {"noisy": 2, "reference": 2})
 
 
 WRITERS: dict[str, Callable[[Path, NDArray[Any]], object]] = {
@@ -72,9 +73,8 @@ def own_set(folder: Path, kind: str, facts: MosaicFacts | None) -> Path:
         noisy = shot(f"{scene}/noisy.{kind}", "noisy", iso=NOISY.iso, exposure_s=NOISY.exposure_s)
         noisy = replace(noisy, ratio=RATIO, reference=clean.path)
         rows += [clean, noisy]
-    card = Card("own", "Own", "1", "own", "", "", "", "bayer", {"Cam": CameraCard(())}, {"noisy": 2, "reference": 2})
     path = folder / "own.csv"
-    save_manifest(path, replace(card, mosaics=() if facts is None else (facts,)), rows)
+    save_manifest(path, replace(CARD, mosaics=() if facts is None else (facts,)), rows)
     return path
 
 
@@ -158,18 +158,27 @@ def test_a_file_of_which_nothing_is_stated_is_refused(tmp_path: Path) -> None:
         PairDataset(tmp_path / "data" / "own", path)[0]
 
 
-@pytest.mark.parametrize(
-    ("mosaic", "word"),
+def npy(values: NDArray[Any]) -> bytes:
+    content = io.BytesIO()
+    np.save(content, values)
+    return content.getvalue()
+
+
+@in_one_test(
+    "name, content, problem",
     [
-        (np.zeros((4, 4, 3), np.uint16), "mosaic of numbers"),
-        (np.full((4, 4), 1 << 16, np.uint32), "DN from 0"),
-        (np.full((4, 4), np.nan, np.float32), "not finite"),
+        ("x.npy", npy(np.zeros((4, 4, 3), np.uint16)), "mosaic of numbers"),
+        ("x.npy", npy(np.full((4, 4), 1 << 16, np.uint32)), "DN from 0"),
+        ("x.npy", npy(np.full((4, 4), np.nan, np.float32)), "not finite"),
+        ("x.mat", b"\x89HDF\r\n\x1a\n", "is HDF5 without MATLAB's header: name it .h5"),
+        ("x.h5", b"MATLAB 7.3 MAT-file", "is a MATLAB file: name it .mat"),
+        ("x.bin", bytes(96), "is numbers without a header; convert it to .npy"),
     ],
 )
-def test_what_is_no_mosaic_is_named(mosaic: NDArray[Any], word: str, tmp_path: Path) -> None:
-    np.save(tmp_path / "x.npy", mosaic)
-    with pytest.raises(RawFileError, match=word):
-        read_raw(StatedFile(tmp_path / "x.npy", FACTS))
+def test_what_is_no_mosaic_is_named(name: str, content: bytes, problem: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(RawFileError, match=f"{name}: .*{problem}"):
+        StatedFile(tmp_path / name, FACTS).read()
 
 
 def shares_of(mosaic: NDArray[Any]) -> NDArray[np.float32]:
@@ -265,8 +274,6 @@ def test_levels_that_do_not_fit_are_found_by_verify_and_never_scored(tmp_path: P
     result = evaluate(None, "own", manifest=path, root=root, baseline="input")
     assert result.scores == ()
     assert all("black 0 and white 1" in str(problem) for problem in result.problems)
-    with pytest.raises(EldataError, match="black 0 and white 1"):
-        list(scored_pairs(None, "own", manifest=path, root=root, baseline="input"))
 
 
 def test_borders_of_arrays_are_named_once_and_read(tmp_path: Path) -> None:
@@ -281,14 +288,6 @@ def test_borders_of_arrays_are_named_once_and_read(tmp_path: Path) -> None:
     assert "4 at the bottom (of 0 DN) of its 48 rows and 64 columns hold no picture" in remark.text
 
 
-def test_numbers_without_a_header_are_refused_by_name(tmp_path: Path) -> None:
-    (tmp_path / "x.bin").write_bytes(bytes(2 * 48 * 64))
-    file = StatedFile(tmp_path / "x.bin", FACTS)
-    for look in (file.read, file.check):
-        with pytest.raises(UnusableRawError, match=r"x\.bin: is numbers without a header; convert it to \.npy"):
-            look()
-
-
 def test_which_of_several_arrays_is_said(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "x.mat", {"x": np.full(SHAPE, 300.0), "y": np.full(SHAPE, 400.0), "name": "text"})
     with pytest.raises(RawFileError, match="x, y"):
@@ -297,38 +296,6 @@ def test_which_of_several_arrays_is_said(tmp_path: Path) -> None:
     (tmp_path / "cut.mat").write_bytes((tmp_path / "x.mat").read_bytes()[:300])
     with pytest.raises(RawFileError, match="again"):
         read_raw(StatedFile(tmp_path / "cut.mat", replace(FACTS, array="y")))
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "problem"),
-    [
-        ("x.mat", b"\x89HDF\r\n\x1a\n", "is HDF5 without MATLAB's header: name it .h5"),
-        ("x.h5", b"MATLAB 7.3 MAT-file", "is a MATLAB file: name it .mat"),
-    ],
-)
-def test_a_misnamed_file_is_named_for_what_it_is(name: str, content: bytes, problem: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(RawFileError, match=problem):
-        read_raw(StatedFile(tmp_path / name, FACTS))
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("cfa", "RGBG"),
-        ("black_level_dn", [1, 2]),
-        ("white_level_dn", 240),
-        ("whyte", 1),
-        ("bits", 10),
-    ],
-)
-def test_a_card_that_misstates_them_is_refused(field: str, value: object, tmp_path: Path) -> None:
-    path = own_set(tmp_path, "npy", FACTS).with_suffix(".json")
-    card = json.loads(path.read_text())
-    card["mosaics"][0][field] = value
-    path.write_text(json.dumps(card))
-    with pytest.raises(ManifestError, match=field):
-        load_card(path)
 
 
 def test_the_first_that_fits_camera_and_path_counts(tmp_path: Path) -> None:
@@ -361,25 +328,14 @@ def test_ratios_that_no_file_states_are_the_manifests(tmp_path: Path) -> None:
     assert scored(path)[0][2] == 100
 
 
-def bias_set(tmp_path: Path, kind: str = "npy", count: int = 3, shape: tuple[int, int] | None = None) -> Path:
-    """Write bias frames of a set, of the noise of :func:`mosaic_of` or of another shape; return its manifest."""
-    rows = []
-    for number in range(count):
-        path = tmp_path / "data" / "own" / f"{number}.{kind}"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        mosaic = mosaic_of(NOISY, number)
-        if shape is not None:
-            fixed, noise = (np.random.default_rng(seed).normal(0, 2, shape) for seed in (9, number))
-            mosaic = np.rint(BLACK + fixed + noise).astype(np.uint16)
-        if kind == "dng":
-            sensor = Sensor("Maker", "Model", bayer_cfa(CFA), (BLACK,) * 4, WHITE, *mosaic.shape)
-            write_dng(path, mosaic, sensor, Exposure(Fraction(800), Fraction(1, 1000)))
-        else:
-            np.save(path, mosaic)
-        rows.append(FrameRecord(path.name, "bias", "Cam", iso=Fraction(800), exposure_s=Fraction(1, 1000)))
-    cameras, mosaics = {"Cam": CameraCard(())}, (replace(FACTS, paths="*.npy"),)
-    card = Card("own", "Own", "1", "own", "", "", "", "bayer", cameras, {"bias": count}, mosaics=mosaics)
-    save_manifest(tmp_path / "own.csv", card, rows)
+def bias_set(tmp_path: Path) -> Path:
+    """Write three bias frames of the noise of :func:`mosaic_of`; return their manifest."""
+    data, exposure = tmp_path / "data" / "own", {"iso": Fraction(800), "exposure_s": Fraction(1, 1000)}
+    data.mkdir(parents=True)
+    for number in range(3):
+        np.save(data / f"{number}.npy", mosaic_of(NOISY, number))
+    rows = [FrameRecord(f"{number}.npy", "bias", "Cam", **exposure) for number in range(3)]
+    save_manifest(tmp_path / "own.csv", replace(CARD, counts={"bias": 3}, mosaics=(FACTS,)), rows)
     return tmp_path / "own.csv"
 
 

@@ -46,7 +46,7 @@ def told(found: OwnSet) -> dict[str, tuple[str, str, object, object]]:
 def test_a_set_in_elds_layout_is_what_its_own_manifest_says(demo_tree: Path) -> None:
     """Factor 1 is exposed as the reference is, at a higher ISO; the nearest of four references is meant."""
     tree = tree_in(demo_tree)
-    found = sort_own_set(tree.data, "mine", workers=2)
+    found = sort_own_set(tree.data, "mine")
     assert not found.problems
     assert found.records == tuple(replace(one, size_bytes=None, sha256=None) for one in tree.manifest.records)
     assert found.card.cameras == tree.manifest.card.cameras
@@ -62,7 +62,7 @@ def test_sid_by_patterns(tmp_path: Path) -> None:
     shipped = shipped_manifest("sid-sony")
     shipped = replace(shipped, records=tuple(one for one in shipped.records if one.scene.endswith(("3", "7"))))
     build_sid_tree(shipped, tmp_path)
-    found = sort_own_set(tmp_path, "mine", reference="Sony/long/*", scene="Sony/*/{scene}_*", workers=2)
+    found = sort_own_set(tmp_path, "mine", reference="Sony/long/*", scene="Sony/*/{scene}_*")
     assert not found.problems
     listed = {one.path: one for one in shipped.records}
     assert {one.path for one in found.records} == set(listed)

@@ -7,32 +7,24 @@ import gc
 import io
 import random
 import re
-import tempfile
 from dataclasses import astuple, replace
 from fractions import Fraction
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from eldata.base.files import sha256_of
 from eldata.base.tables import cell_of_text, text_of_cell
 from eldata.errors import ManifestError
-from eldata.manifest.table import (
-    COLUMNS,
-    ROLES,
-    load_records,
-    load_table,
-    number_text,
-    save_records,
-)
+from eldata.manifest.table import COLUMNS, load_records, load_table, number_text, save_records
 from eldata.records import FrameRecord
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     Rows = list[dict[str, str]]
 
@@ -80,47 +72,12 @@ def test_number_text_is_exact_and_decimal_where_nine_decimals_do(value: Fraction
     assert re.fullmatch(r"\d+(/\d+|\.\d*[1-9])?", text), "a digit before the point, and no trailing zero"
 
 
-def round_trip(records: list[FrameRecord]) -> tuple[FrameRecord, ...]:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "m.csv"
-        save_records(path, records)
-        return load_records(path)
+# --- round trip -------------------------------------------------------------------------------------------------------
 
 
-# --- round trip ---------------------------------------------------------------------------------------------------
-
-
-def test_round_trip_keeps_every_field() -> None:
-    assert round_trip([REFERENCE, NOISY, BIAS]) == (BIAS, REFERENCE, NOISY)
-
-
-NAMES = st.text("abcXYZ019_.+-", min_size=1, max_size=8)
-PARTS = st.text("abcXYZ019 _-+()äß,\"';#=", min_size=1, max_size=8)
-
-
-@st.composite
-def tables(draw: st.DrawFn) -> list[FrameRecord]:
-    """Tables that a manifest may hold: awkward names, any fraction, any combination of unknown fields."""
-    paths = draw(st.lists(st.lists(PARTS, min_size=1, max_size=3).map("/".join), min_size=1, max_size=4, unique=True))
-    paths = list({path.casefold(): path for path in paths}.values())
-    maybe_number = st.none() | EXIF_FRACTIONS.filter(lambda value: value.denominator % 2**19 != 0)
-    maybe_whole = st.none() | st.integers(0, 10**12)
-    records = []
-    for index, path in enumerate(paths):
-        values: dict[str, Any] = {name: draw(maybe_number) for name in ("iso", "exposure_s", "ratio")}
-        values |= {name: draw(maybe_whole) for name in ("width", "height", "size_bytes")}
-        values |= {"camera": draw(NAMES), "scene": draw(NAMES | st.just("")), "split": draw(NAMES | st.just(""))}
-        values |= {"sha256": draw(st.none() | st.just(HASH)), "flags": tuple(draw(st.lists(NAMES, max_size=3)))}
-        if index:
-            values |= {"role": draw(st.sampled_from(ROLES)), "reference": draw(st.none() | st.just(paths[0]))}
-        records.append(FrameRecord(path=path, **{"role": "reference", **values}))
-    return records
-
-
-@settings(max_examples=60, deadline=None)
-@given(tables())
-def test_any_table_comes_back_equal_and_sorted(records: list[FrameRecord]) -> None:
-    assert list(round_trip(records)) == sorted(records, key=lambda record: record.path)
+def test_round_trip_keeps_every_field(path: Path) -> None:
+    save_records(path, [REFERENCE, NOISY, BIAS])
+    assert load_records(path) == (BIAS, REFERENCE, NOISY)
 
 
 # --- malformed ----------------------------------------------------------------------------------------------------
@@ -128,20 +85,10 @@ def test_any_table_comes_back_equal_and_sorted(records: list[FrameRecord]) -> No
 
 def rows() -> Rows:
     """A reference in line 2, a noisy frame in line 3."""
-    return [
-        dict.fromkeys(COLUMNS, "")
-        | {"path": "Cam/scene-1/IMG_0001.ARW", "role": "reference", "camera": "Cam", "iso": "100", "exposure_s": "4"},
-        dict.fromkeys(COLUMNS, "")
-        | {
-            "path": "Cam/scene-1/IMG_0004.ARW",
-            "role": "noisy",
-            "camera": "Cam",
-            "iso": "800",
-            "exposure_s": "0.005",
-            "ratio": "100",
-            "reference": "Cam/scene-1/IMG_0001.ARW",
-        },
-    ]
+    first, second = (f"Cam/scene-1/IMG_{number}.ARW" for number in ("0001", "0004"))
+    reference = {"path": first, "role": "reference", "camera": "Cam", "iso": "100", "exposure_s": "4"}
+    noisy = {"path": second, "role": "noisy", "iso": "800", "exposure_s": "0.005", "ratio": "100", "reference": first}
+    return [dict.fromkeys(COLUMNS, "") | reference | fields for fields in ({}, noisy)]
 
 
 def as_csv(table: Rows) -> str:
@@ -168,13 +115,9 @@ NO_HASHES = "0123456789abcdef" * 4, "sha256:abc", "sha256:" + HASH[7:].upper(), 
     "column, said, values",
     [
         ("path", "is empty", [""]),
-        ("path", "absolute", ["/Cam/IMG_0004.ARW"]),
-        ("path", "drive", ["C:/Cam/IMG_0004.ARW", "c:IMG_0004.ARW"]),
-        ("path", "backslash", ["Cam\\IMG_0004.ARW"]),
         ("path", "'..'", ["Cam/../../etc/passwd", "..", "./IMG_0004.ARW"]),
-        ("path", "empty", ["Cam//IMG_0004.ARW", "Cam/scene-1/"]),
         ("path", "control character", ["Cam/IMG_0004.ARW\0", "Cam/IMG\n0004.ARW"]),
-        ("path", "a name of more than 255 characters", [f"Cam/IMG_{'4' * 5000}.ARW"]),
+        ("path", "a name of more than 255 characters", [f"Cam/IMG_{'4' * 300}.ARW"]),
         ("path", "line 2 already", OUT_OF_PLACE),
         ("role", "one of 'reference', 'noisy', 'bias', 'flat'", ["", "dark", "Noisy"]),
         ("camera", "a name of letters, digits", ["", "Sony A7S2", "a/b", "Cam\0"]),
@@ -183,7 +126,6 @@ NO_HASHES = "0123456789abcdef" * 4, "sha256:abc", "sha256:" + HASH[7:].upper(), 
         ("iso", "a number above 0", NO_ISOS),
         ("exposure_s", "a number above 0", NO_TIMES),
         ("ratio", "a number above 0", ["100x"]),
-        ("reference", "absolute", ["/etc/passwd"]),
         ("reference", "'..'", ["../IMG_0001.ARW"]),
         ("reference", "a row with role reference", NO_REFERENCES),
         ("width", "a whole number", ["4256.0", "-1"]),
@@ -209,34 +151,21 @@ def test_a_bad_field_is_named_by_file_line_and_column(
 
 
 @in_one_test(
-    "said, line, spoils",
+    "said, line, spoil",
     [
-        (
-            "expected the columns path,role,camera",
-            1,
-            [
-                lambda text: text.split("\n", 1)[1],
-                lambda text: text.replace("exposure_s", "exposure"),
-                lambda text: text.replace("path,role", "role,path", 1),
-                lambda text: text.replace(",flags", ",flags,notes", 1),
-                lambda text: text.replace(",", ";"),
-                lambda text: text.replace("path", "pa\0th", 1),
-            ],
-        ),
-        ("expected 14 fields, found 13", 3, [lambda text: text[:-2] + "\n"]),
-        ("expected 14 fields, found 15", 3, [lambda text: text[:-1] + ",\n"]),
-        ("expected 14 fields, found 0", 4, [lambda text: text + "\n"]),
-        ("is not CSV", 3, [lambda text: text.replace("noisy", '"noisy"x')]),
-        ("is not CSV", 4, [lambda text: text + '"C/5.ARW,noisy,Cam\n', lambda text: text + "x" * 200_000 + "\n"]),
+        ("expected the columns path,role,camera", 1, lambda text: text.replace("path,role", "role,path", 1)),
+        ("expected the columns path,role,camera", 1, lambda text: text.replace(",flags", ",flags,notes", 1)),
+        ("expected 14 fields, found 13", 3, lambda text: text[:-2] + "\n"),
+        ("expected 14 fields, found 0", 4, lambda text: text + "\n"),
+        ("is not CSV", 3, lambda text: text.replace("noisy", '"noisy"x')),
     ],
 )
 def test_a_broken_table_is_named_by_file_and_line(
-    path: Path, spoils: Sequence[Callable[[str], str]], line: int, said: str
+    path: Path, spoil: Callable[[str], str], line: int, said: str
 ) -> None:
-    for spoil in spoils:
-        path.write_text(spoil(as_csv(rows())), encoding="utf-8", newline="")
-        with pytest.raises(ManifestError, match=f"{path}, line {line}: .*{said}"):
-            load_records(path)
+    path.write_text(spoil(as_csv(rows())), encoding="utf-8", newline="")
+    with pytest.raises(ManifestError, match=f"{path}, line {line}: .*{said}"):
+        load_records(path)
 
 
 @in_one_test("content", [b"\x89PNG\r\n\x1a\n\xff", as_csv(rows()).encode("utf-16"), b"path,\xe4\n", None])
@@ -248,29 +177,27 @@ def test_a_file_that_is_no_text_or_not_there_is_named(path: Path, content: bytes
         load_records(path)
 
 
-@pytest.mark.parametrize("name", ["byte order mark", "carriage returns", "unsorted"])
-def test_what_spreadsheets_make_of_a_table_is_accepted(path: Path, name: str) -> None:
+def test_what_spreadsheets_make_of_a_table_is_accepted(path: Path) -> None:
     text = as_csv(rows())
+    head, first, second = text.splitlines()
     path.write_bytes(text.encode())
     expected = load_records(path)
-    head, first, second = text.splitlines()
-    content = {
-        "byte order mark": b"\xef\xbb\xbf" + text.encode(),
-        "carriage returns": text.replace("\n", "\r\n").encode(),
-        "unsorted": f"{head}\n{second}\n{first}\n".encode(),
-    }[name]
-    path.write_bytes(content)
-    assert load_records(path) == expected
+    for made in (f"\ufeff{text}", text.replace("\n", "\r\n"), f"{head}\n{second}\n{first}\n"):
+        path.write_bytes(made.encode())
+        assert load_records(path) == expected
 
 
 # --- large tables -----------------------------------------------------------------------------------------------------
+
+
+NAMES = ("IMG", "-b", "é (1)", "_x", "='ß,;#\" ")
 
 
 def many_rows(rng: random.Random, count: int) -> list[list[str]]:
     """A table in which all is well: references, noisy frames of them, and others."""
     table: list[list[str]] = []
     for number in range(count):
-        path = f"Cam/scene-{number // 4}/{rng.choice(('IMG', '-b', 'é (1)', '_x'))}{number:04}.ARW"
+        path = f"Cam/scene-{number // 4}/{rng.choice(NAMES)}{number:04}.ARW"
         role = "reference" if number % 4 == 0 else rng.choice(("noisy", "bias", "flat"))
         scene, split = rng.choice(("", f"scene-{number // 4}", "-1", "+x")), rng.choice(("", "test"))
         numbers = [rng.choice(("", "100", "0.005", f"1/{rng.randint(1, 9999)}")) for _ in range(3)]
@@ -290,11 +217,14 @@ def as_record(cells: Sequence[str]) -> FrameRecord:
     return FrameRecord(path, role, camera, scene, split, *fractions, reference or None, *wholes, sha256 or None, words)  # type: ignore[arg-type, call-arg] # as the columns stand
 
 
-def test_a_table_of_several_batches_is_read_as_csv_has_it(path: Path) -> None:
+def write_rows(path: Path, table: Sequence[Sequence[str]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([COLUMNS, *table])
+
+
+def test_a_table_of_several_batches_is_read_as_csv_has_it_and_comes_back(path: Path) -> None:
     table = many_rows(random.Random(1), 3000)  # noqa: S311 # to be repeated
-    text = io.StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *table])
-    path.write_text(text.getvalue(), encoding="utf-8")
+    write_rows(path, table)
     expected = sorted(map(as_record, table), key=lambda record: record.path)
     records, digest = load_table(path)
     assert (list(records), digest) == (expected, sha256_of(path))
@@ -302,6 +232,10 @@ def test_a_table_of_several_batches_is_read_as_csv_has_it(path: Path) -> None:
         [type(value) for value in astuple(one)] for one in expected
     ], "1 and Fraction(1) are equal"
     assert gc.isenabled()
+    save_records(path, reversed(records))
+    assert list(load_records(path)) == expected
+    with path.open(encoding="utf-8", newline="") as file:
+        assert not [cell for row in csv.reader(file) for cell in row if cell.startswith(("=", "+", "-", "@"))]
 
 
 @in_one_test(
@@ -317,9 +251,7 @@ def test_a_table_of_several_batches_is_read_as_csv_has_it(path: Path) -> None:
 def test_a_fault_behind_the_first_batch_is_named_by_its_line(path: Path, column: str, cell: str, said: str) -> None:
     table = many_rows(random.Random(1), 3000)  # noqa: S311 # to be repeated
     table[2500][COLUMNS.index(column)] = table[0][0] if cell == "line 2" else cell
-    text = io.StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *table])
-    path.write_text(text.getvalue(), encoding="utf-8")
+    write_rows(path, table)
     with pytest.raises(ManifestError, match=f"line 2502, column {column}: .*{said}"):
         load_records(path)
 
@@ -332,15 +264,6 @@ def test_any_text_comes_back_from_a_cell_that_is_no_formula(text: str) -> None:
     cell = cell_of_text(text)
     assert cell[:1] not in ("=", "+", "-", "@", "\t", "\r", "\n", "＝") or not cell
     assert text_of_cell(cell) == text
-
-
-def test_a_manifest_with_names_that_look_like_formulas(path: Path) -> None:
-    reference = replace(REFERENCE, path="=cmd|'/c calc'!A1.ARW", scene="-1", split="+x")
-    noisy = replace(NOISY, path="@SUM(1).ARW", reference=reference.path, flags=("-a", "b"))
-    save_records(path, [reference, noisy])
-    cells = [cell for row in csv.reader(path.read_text(encoding="utf-8").splitlines()[1:]) for cell in row]
-    assert not [cell for cell in cells if cell[:1] in ("=", "+", "-", "@")]
-    assert load_records(path) == (reference, noisy)
 
 
 # --- saving -------------------------------------------------------------------------------------------------------

@@ -100,10 +100,7 @@ def address(cluster: LocalCluster, dask: Executor) -> str:
 
 
 def test_a_command_on_a_cluster_prints_what_it_prints_alone(
-    tree: Tree,
-    address: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    tree: Tree, address: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With paths that start from this process's folder, which is not that of the workers."""
     monkeypatch.chdir(tree.folder)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import socket
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from functools import partial
-from multiprocessing import get_context
+from concurrent.futures import BrokenExecutor, Executor, Future
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -121,15 +119,17 @@ def test_a_bounded_number_of_units_is_in_flight(workers: int | None, in_flight: 
 # --- executors that cannot --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.kill
-def test_a_broken_pool_of_the_callers_is_an_error_that_names_the_unit(importable: None) -> None:
-    tasks = [work.Task(3, "three.dng"), *(work.Task(number) for number in range(4, 40))]
-    message = r"^the executor cannot run the work on three\.dng: BrokenProcessPool"
-    with (
-        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
-        pytest.raises(EldataError, match=message),
-    ):
-        list(Workers(executor=pool).run(work.end_the_process, tasks))
+class Broken(Executor):
+    """A pool that broke before, such as one whose process was killed."""
+
+    def submit(self, *_: object, **__: object) -> Future[Any]:
+        raise BrokenExecutor("a process ended abruptly")
+
+
+def test_a_broken_pool_of_the_callers_is_an_error_that_names_the_unit() -> None:
+    tasks = [work.Task(number, f"{number}.dng") for number in range(3, 40)]
+    with pytest.raises(EldataError, match=r"^the executor cannot run the work on 3\.dng: BrokenExecutor: a process"):
+        list(Workers(executor=Broken()).run(work.end_the_process, tasks))
 
 
 def test_work_that_cannot_travel(processes: Executor) -> None:
@@ -141,14 +141,6 @@ def test_work_that_cannot_travel(processes: Executor) -> None:
 
 
 @pytest.mark.kill
-def test_a_unit_that_ends_its_process_once_is_run_again(importable: None, tmp_path: Path) -> None:
-    tasks = [work.Task(number) for number in range(30)]
-    found = list(Workers(2).attempt(partial(work.end_the_process_once, tmp_path), tasks))
-    assert (tmp_path / "died").exists()
-    assert found == list(range(30))
-
-
-@pytest.mark.kill
 def test_a_unit_that_ends_every_process_is_named_and_the_rest_is_done(importable: None) -> None:
     tasks = [work.Task(number, f"{number}.dng") for number in range(30)]
     found = list(Workers(2).attempt(work.end_the_process, tasks))
@@ -156,4 +148,3 @@ def test_a_unit_that_ends_every_process_is_named_and_the_rest_is_done(importable
     assert isinstance(found[3], Failed)
     assert found[3].unit == tasks[3]
     assert found[3].reason.startswith("3.dng: worker processes died at it again and again")
-    assert "--jobs" in found[3].reason

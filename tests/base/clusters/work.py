@@ -61,17 +61,6 @@ def end_the_process(task: Task) -> int:
     return task.number
 
 
-def end_the_process_once(folder: Path, task: Task) -> int:
-    """Die where it runs first."""
-    if task.number == 3:
-        try:
-            (folder / "died").touch(exist_ok=False)
-        except FileExistsError:
-            return task.number
-        os.kill(os.getpid(), signal.SIGKILL)
-    return task.number
-
-
 def held(folder: Path, call: Callable[[], Any]) -> Any:
     """Say where this runs, then wait until the test makes the file ``go``."""
     (folder / f"in-{os.getpid()}").touch()

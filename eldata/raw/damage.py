@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from eldata.errors import RawFileError
-from eldata.raw.tiff import UNCOMPRESSED
+from eldata.raw import tiff
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -35,7 +35,6 @@ _AGAIN = "copy or download it again"
 # A sector of a disk, the least that a disk loses, and the same number of pixels. A page in memory has 4096 bytes: at
 # least 2048 pixels.
 _LEAST_RUN = 512
-_JPEG = 7
 # In none of LibRaw's codes for it do zero bits stand for equal neighbours.
 _NIKON = 34713
 _BITS = 8  # of a byte: each sample takes at least one
@@ -156,7 +155,7 @@ def _compressed(path: Path, directories: Sequence[Directory]) -> Iterator[tuple[
     """Yield directory, offset and length of each strip or tile of compressed data, of previews too."""
     left = _MOST_SHARED * path.stat().st_size
     for directory in directories:
-        for offset, count in directory.extents if directory.compression != UNCOMPRESSED else ():
+        for offset, count in directory.extents if directory.compression != tiff.UNCOMPRESSED else ():
             if min(offset, count) < 0:  # a preview's: of the raw image it is refused before
                 continue
             left -= count
@@ -195,7 +194,7 @@ def data_fault(
                 if directory.is_mosaic:
                     raise _damaged_header(path, offset, str(error)) from error
                 continue  # a preview
-            if directory.is_mosaic and directory.compression == _JPEG and content[: len(_SOI)].tobytes() != _SOI:
+            if directory.is_mosaic and directory.compression == tiff.JPEG and content[: len(_SOI)].tobytes() != _SOI:
                 raise _damaged_header(path, offset, "does not begin as a JPEG")
             # CR2 does not say which of its images is the mosaic; no preview is a lossless JPEG.
             if not directory.is_mosaic and stream is None:
@@ -344,7 +343,7 @@ def lost_rows_fault(directories: Sequence[Directory], rows: slice, height: int) 
     """
     for directory in directories:
         stored_height, extents = directory.shape[0], directory.extents
-        if not directory.is_mosaic or directory.compression != UNCOMPRESSED or not extents or stored_height <= 0:
+        if not directory.is_mosaic or directory.compression != tiff.UNCOMPRESSED or not extents or stored_height <= 0:
             continue
         row_bytes = directory.held // stored_height
         first = min(extents)[0] + directory.corner()[0] * row_bytes

@@ -35,7 +35,6 @@ Entry = tuple[int, str, "bytes | tuple[int, ...]"]
 """Tag, type (as struct names its numbers; ``s``: text, ``x``: undefined) and values, two for each fraction."""
 
 _KINDS = {"B": 1, "s": 2, "H": 3, "I": 4, "2I": 5, "x": 7, "2i": 10}
-_JPEG = 7
 _LEAST_SIDE = 22
 _LARGEST_DN = 65535
 
@@ -136,8 +135,7 @@ def _sensor_entries(sensor: Sensor) -> list[Entry]:
         if sensor.matrix_illuminant:  # 0 is what stands for a tag that is not there
             entries.append((of_illuminant, "H", (sensor.matrix_illuminant,)))
     if sensor.white_balance is not None:
-        red, green, blue, second_green = map(exact_fraction, sensor.white_balance)
-        neutral = neutral_of((red, green, blue, second_green))
+        neutral = neutral_of(list(map(exact_fraction, sensor.white_balance)))
         entries.append((tiff.AS_SHOT_NEUTRAL, "2I", _parts(neutral)))
     return entries
 
@@ -218,7 +216,7 @@ def _encode(
     def head(exif_at: int, pixels_at: int) -> bytes:
         image = {tiff.WIDTH: sensor.width, tiff.HEIGHT: sensor.height, tiff.ROWS_PER_STRIP: sensor.height}
         image |= {tiff.STRIPS[0]: pixels_at, tiff.STRIPS[1]: len(pixels), tiff.EXIF_IFD: exif_at}
-        short = {tiff.BITS: 16, tiff.COMPRESSION: _JPEG if compression == "lossless-jpeg" else tiff.UNCOMPRESSED}
+        short = {tiff.BITS: 16, tiff.COMPRESSION: tiff.JPEG if compression == "lossless-jpeg" else tiff.UNCOMPRESSED}
         short |= {tiff.PHOTOMETRIC: tiff.CFA_PHOTOMETRIC, tiff.SAMPLES: 1}
         entries = [(tag, "I", (value,)) for tag, value in image.items()]
         entries += [(tag, "H", (value,)) for tag, value in short.items()]

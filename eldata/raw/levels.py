@@ -348,7 +348,7 @@ def with_rows(values: NDArray[Scalar]) -> NDArray[Scalar]:
     return values if values.strides[-1] == values.itemsize else np.ascontiguousarray(values)
 
 
-def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = None) -> NDArray[Scalar]:
+def pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     """Split a mosaic by CFA position.
 
     Parameters
@@ -357,8 +357,6 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = Non
         (H, W), any dtype of 1, 2, 4 or 8 bytes.
     cfa
         The CFA of its pixel (0, 0), as :attr:`eldata.records.Sensor.cfa`.
-    out
-        Where to write, of the packed shape and the mosaic's dtype.
 
     Returns
     -------
@@ -368,7 +366,7 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = Non
     Raises
     ------
     ArgumentError
-        If the CFA is unsupported, the mosaic smaller than one period, or ``out`` does not fit.
+        If the CFA is unsupported, or the mosaic smaller than one period.
 
     Examples
     --------
@@ -385,11 +383,8 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = Non
 
     sites = packing_sites(cfa)
     area = kept_area(mosaic, sites)
-    shape = packed_shape(mosaic.shape, cfa)
-    packed = np.empty(shape, dtype=mosaic.dtype) if out is None else out
-    if packed.shape != shape or packed.dtype != mosaic.dtype:
-        raise ArgumentError(f"out must be {mosaic.dtype} of shape {shape}; found {packed.dtype} {packed.shape}")
-    if sites.period == 2 and with_rows(packed) is packed:
+    packed: NDArray[Scalar] = np.empty(packed_shape(mosaic.shape, cfa), dtype=mosaic.dtype)
+    if sites.period == 2:
         gather_bayer(_as_bits(area), _as_bits(packed), sites.channel_of)
     else:
         for in_mosaic, in_packed in sites.slices:

@@ -18,9 +18,8 @@ import tifffile
 from eldata.errors import RawFileError, UnusableRawError
 from eldata.isp import render_libraw
 from eldata.raw import read_header, read_raw, write_dng
-from eldata.raw.container import read_container
-from eldata.raw.libraw import check_one_image
-from eldata.raw.unsupported import refuse_unsupported
+from eldata.raw.container import read_container, refuse_unsupported
+from eldata.raw.reading import check_one_image
 from eldata.records import exact_fraction
 from tests.raw.helpers import (
     BAYER,

@@ -89,7 +89,7 @@ class ResponseCurve:
                 )
 
     def __call__(self, linear: torch.Tensor) -> torch.Tensor:
-        """Return the brightness of an irradiance (..., 3, h, w), or of any shape if one curve serves all colours.
+        """Apply the curve to an irradiance (..., 3, h, w), or of any shape if one curve serves all colours.
 
         Values outside [0, 1] are clipped. dtype and device stay.
 
@@ -167,7 +167,7 @@ def read_response_table(path: Path | str) -> ResponseCurve:
 
 @lru_cache(maxsize=8)
 def response_of(text: str) -> Response:
-    """Return the response that a protocol states: ``gamma-2.2``, or a curve's :attr:`ResponseCurve.text`.
+    """Make the response that a protocol states: ``gamma-2.2``, or a curve's :attr:`ResponseCurve.text`.
 
     Raises
     ------

@@ -6,6 +6,8 @@ table of models, float32 for a fraction. Asking it would also decode the pixels.
 A TIFF-based file is walked once, for its extents and its EXIF. Around the EXIF of the others is a container: Fujifilm's
 RAF (a JPEG with the EXIF), Canon's CR3 (an ISO base media file, ISO/IEC 14496-12, whose boxes CMT1 and CMT2 are TIFF
 files of IFD0 and of the EXIF IFD), Minolta's MRW (its TTW block is a TIFF file).
+
+Kinds, compressions and layouts that cannot be used are refused by name (:func:`refuse_unsupported`).
 """
 
 from __future__ import annotations
@@ -479,7 +481,7 @@ def refuse_unsupported(container: RawContainer) -> None:
     pattern = main.cfa_letters  # without one LibRaw's word counts
     monochrome = pattern is not None and len(set("".join(pattern))) == 1  # said of the decoded samples
     if pattern is not None and not monochrome and cfa_of_letters(pattern) is None:
-        raise unsupported_cfa(path, pattern)
+        raise make_cfa_error(path, pattern)
 
 
 def _refuse_layout(path: Path, image: Directory, refused: tuple[tuple[int, tuple[int, ...], str, str], ...]) -> None:
@@ -517,7 +519,7 @@ def _is_grey_tiff(directories: Sequence[Directory]) -> bool:
     return largest.pixels > 0 and not by_camera and largest.number(tiff.PHOTOMETRIC, -1) in _GREY
 
 
-def unsupported_cfa(path: Path, rows: Sequence[str]) -> UnusableRawError:
+def make_cfa_error(path: Path, rows: Sequence[str]) -> UnusableRawError:
     """Make the error of a colour filter array, one period of it in letters by row, that cannot be used."""
     colours = "".join(sorted(set("".join(rows))))
     kind = next((name for letters, name in _CFA_NAMES.items() if set(letters) <= set(colours)), "")

@@ -30,7 +30,7 @@ orientation
     Not applied: the mosaic stands as the sensor was read out, whichever way up the camera was held, so that two
     frames of a pair lie on each other.
 camera, ISO, exposure time, aperture
-    What the file states, exactly: EXIF, or what a format has in its place (:mod:`eldata.raw.container`). ``None``
+    What the file states, exactly: EXIF, or what a format has instead (:mod:`eldata.raw.container`). ``None``
     where it states none: LibRaw's figures are not taken, because it makes some up.
 
 What LibRaw does not notice
@@ -71,7 +71,7 @@ from eldata.base.files import read_file
 from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw import tiff
 from eldata.raw.colour import neutral_of_white
-from eldata.raw.container import NEEDED, check_container, read_container, refuse_unsupported, unsupported_cfa
+from eldata.raw.container import NEEDED, check_container, make_cfa_error, read_container, refuse_unsupported
 from eldata.raw.damage import border_remarks, check_damage, check_samples
 from eldata.raw.levels import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.stated import StatedFile
@@ -285,7 +285,7 @@ def open_raw(file: RawContainer, what: str = "decode") -> Iterator[rawpy.RawPy]:
     try:
         content = _mend(file)
         if content is None:
-            _open(raw, file.path)
+            _open_file(raw, file.path)
         else:
             raw.open_buffer(io.BytesIO(content))
         yield raw
@@ -321,7 +321,7 @@ def _mend(file: RawContainer) -> bytes | None:
     return bytes(content) if rows is None else rows.rearrange(content)
 
 
-def _open(raw: rawpy.RawPy, path: Path) -> None:
+def _open_file(raw: rawpy.RawPy, path: Path) -> None:
     try:
         raw.open_file(str(path))
     except UnicodeEncodeError:  # rawpy knows names in UTF-8 alone
@@ -368,7 +368,7 @@ def check_one_image(path: Path) -> None:
     raw = rawpy.RawPy()
     try:
         raw.set_unpack_params(shot_select=1)  # before it is opened: which of its images, is chosen then
-        _open(raw, path)
+        _open_file(raw, path)
         raw.unpack()
     except rawpy.LibRawRequestForNonexistentImageError:
         return
@@ -399,13 +399,13 @@ def visible_cfa(path: Path, raw: rawpy.RawPy, main: Directory | None) -> tuple[C
     letters = ["".join(names[index] for index in row) for row in sites]
     cfa = cfa_of_letters(letters)
     if cfa is None:
-        raise unsupported_cfa(path, letters)
+        raise make_cfa_error(path, letters)
     libraw_index = dict(zip(chain(*cfa), chain(*sites), strict=True))
     return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 
 
 def _stated_cfa(raw: rawpy.RawPy, main: Directory) -> tuple[CfaRows, tuple[int, ...]] | None:
-    """CFA as :func:`visible_cfa` has it, from the tags beside the pixels; None if they state none that works."""
+    """CFA as :func:`visible_cfa` has it, from the tags of its image; None if they state none that works."""
     whole, names = cfa_of_letters(main.cfa_letters or ()), raw.color_desc.decode("ascii", "replace")
     if whole is None or not set("RGB") <= set(names):
         return None

@@ -134,7 +134,7 @@ class Directory:
 
     @property
     def black_repeat(self) -> tuple[int, int]:
-        """Rows and columns after which its BlackLevel repeats; some write one number, beside one level."""
+        """Rows and columns after which its BlackLevel repeats; some write one number, with one level."""
         repeat = self.values.get(BLACK_REPEAT, ())
         return (int(repeat[0]), int(repeat[1])) if len(repeat) == 2 else (1, 1)
 
@@ -226,7 +226,7 @@ def check_images(path: Path, directories: Sequence[Directory]) -> None:
 
 
 def _check_mosaic(path: Path, mosaic: Directory, of_dng: bool) -> None:
-    """Refuse a mosaic of which numbers that are relied on are missing or impossible, or that has too little data."""
+    """Refuse a mosaic with missing or impossible numbers in tags that are relied on, or with too little data."""
     for tag, counts in _COUNTS.items():
         values = mosaic.values.get(tag)
         if values is not None and (len(values) not in counts or min(values, default=0) < 0):

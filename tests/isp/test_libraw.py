@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -91,17 +92,24 @@ def test_x_trans_that_libraw_cannot_demosaic_is_named(tmp_path: Path) -> None:
         render_libraw(path)
 
 
-def test_a_forked_child_renders_after_its_parent(tmp_path: Path) -> None:
-    """LibRaw's OpenMP threads do not survive a fork; a child that waits for them would never end."""
+FORKED = """
+import os, sys
+import rawpy
+from eldata.isp.libraw import render_libraw
+
+with rawpy.imread(sys.argv[1]) as raw:
+    raw.postprocess()  # on OpenMP threads, for which a forked child would wait for ever
+first = render_libraw(sys.argv[1])
+child = os.fork()
+if child == 0:
+    os._exit(0 if (render_libraw(sys.argv[1]) == first).all() else 3)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+def test_a_forked_child_reads_and_renders_after_its_parent(tmp_path: Path) -> None:
     path = written(tmp_path / "frame.dng")
-    script = (
-        "import os, sys\n"
-        "from eldata.isp.libraw import render_libraw\n"
-        "first = render_libraw(sys.argv[1])\n"
-        "child = os.fork()\n"
-        "if child == 0:\n"
-        "    os._exit(0 if (render_libraw(sys.argv[1]) == first).all() else 3)\n"
-        "sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, timeout=PATIENCE_S)
+    command = [sys.executable, "-c", FORKED, str(path)]
+    several = {**os.environ, "OMP_NUM_THREADS": "4"}  # with one thread there is no pool to wait for
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, env=several)
     assert (done.returncode, done.stderr) == (0, "")

@@ -440,6 +440,7 @@ def test_imports_and_help_load_neither_torch_nor_rawpy() -> None:
         *(EVERY_HELP.format(package=package, heavy=HEAVY) for package in ("eldata.cli", "capture.cli")),
         "from eldata.cli.main import main; main(['info']); main(['download', 'eld'])",
         "from capture import RELEASED, plan_calibration; from capture.camera import EXAMPLE; RELEASED.frames()",
+        "import numpy as np; from eldata.metrics import psnr; psnr(np.zeros((9, 9)), np.ones((9, 9)))",
     ]
     *found, last = loaded_after(*light, "import rawpy")
     assert found == [[]] * len(light)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 METRICS = [
     pytest.param(metrics.psnr, id="psnr"),
     pytest.param(metrics.ssim, id="ssim"),
+    pytest.param(partial(metrics.ssim, window="gaussian-11"), id="ssim, Gaussian"),
     pytest.param(metrics.rescale_factor, id="rescale_factor"),
     pytest.param(lambda p, g, **k: metrics.score(p, g, rescaling="scalar", **k), id="score"),
 ]
@@ -131,14 +133,14 @@ def test_threads_do_not_change_a_bit(metric: Metric, shape: tuple[int, ...], mon
     assert used == {threading.current_thread().name}
 
 
-@pytest.mark.parametrize("metric", METRICS)
-@pytest.mark.parametrize("where", ["prediction", "reference"])
-def test_nan_gives_nan(metric: Metric, where: str) -> None:
-    p, g = images(2, 30, 31)
-    (p if where == "prediction" else g)[1, 3, 4] = np.nan
-    result = metric(p, g)
-    numbers = [result.psnr_db, result.ssim] if isinstance(result, metrics.Score) else [result]
-    assert np.isnan(numbers).all()
+@pytest.mark.parametrize("metric", [*METRICS, partial(metrics.ssim, window="gaussian-11-volume")])
+def test_nan_gives_nan(metric: Metric) -> None:
+    for at in (0, 1):
+        pair = images(2, 30, 31)
+        pair[at][1, 3, 4] = np.nan
+        result = metric(*pair)
+        numbers = [result.psnr_db, result.ssim] if isinstance(result, metrics.Score) else [result]
+        assert np.isnan(numbers).all()
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -163,7 +165,7 @@ def test_refusals(metric: Metric) -> None:
             metric(p, g, threads=threads)
 
 
-@pytest.mark.parametrize("metric", METRICS[:2])
+@pytest.mark.parametrize("metric", METRICS[:3])
 @pytest.mark.parametrize("data_range", [0.0, -1.0, np.inf, np.nan])
 def test_bad_data_range(metric: Metric, data_range: float) -> None:
     with pytest.raises(ArgumentError, match="data_range"):

@@ -174,12 +174,3 @@ def test_peak_of_a_process() -> None:
     """What the kernels allocate themselves does not show in tracemalloc."""
     child = subprocess.run([sys.executable, "-c", PEAK], capture_output=True, text=True, check=True)
     assert int(child.stdout) < 20_000  # kB
-
-
-def test_torch_is_not_imported_for_numpy() -> None:
-    code = (
-        "import sys, numpy as np; from eldata.metrics import psnr; psnr(np.zeros((9, 9)), np.ones((9, 9)));"
-        "print('torch' in sys.modules)"
-    )
-    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert child.stdout.strip() == "False"

@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import logging
 import struct
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from itertools import product
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from PIL.TiffImagePlugin import IFDRational
 from eldata.errors import RawFileError
 from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
 from eldata.raw.container import read_container
-from eldata.records import Exposure
+from eldata.records import Exposure, exact_fraction
 from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
@@ -29,6 +31,7 @@ from tests.raw.helpers import (
     Tag,
     active_area,
     black_levels,
+    check_refused,
     letters,
     make_sensor,
     random_mosaic,
@@ -91,14 +94,40 @@ def test_quad_and_nona_are_those_of_the_tags_at_the_visible_area(
     assert frame.mosaic.shape == (frame.sensor.height, frame.sensor.width)
 
 
-def test_white_is_what_the_file_says_and_not_what_libraw_knows_of_the_model(tmp_path: Path) -> None:
-    path = tmp_path / "a.dng"
-    write_plain_dng(path, random_mosaic(64, 66, high=15000), make="NIKON CORPORATION", model="NIKON D850", white=15520)
-    with rawpy.imread(str(path)) as raw:
-        per_channel = raw.camera_white_level_per_channel
-    assert per_channel is not None
-    assert 15520 not in per_channel  # LibRaw's table speaks here: the trap is set
-    assert read_raw(path).sensor.white_level_dn == 15520.0
+@pytest.mark.parametrize("kind", ["f", "d"])
+def test_a_level_written_as_a_float_is_exact(kind: str, tmp_path: Path) -> None:
+    """LibRaw has 511 of it."""
+    tags: list[Tag] = [(50713, "H", 2, (1, 2), True), (50714, kind, 2, (511.625, 512.0), True)]
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags)
+    assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (511.625, 512, 512, 511.625)
+
+
+@pytest.mark.parametrize("repeat", [(1, 3), (4, 2), (8, 8)])
+def test_a_pattern_that_does_not_fit_the_cfa_is_named(repeat: tuple[int, int], tmp_path: Path) -> None:
+    rows, columns = repeat
+    levels = [[64] * columns for _ in range(rows)]
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *black_levels(levels))
+    assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (64,) * 4  # one level whatever it repeats after
+    levels[0][0] = 65
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *black_levels(levels))
+    words = rf"BlackLevel .repeated every {rows} x {columns} pixels. differs between sites of one colour"
+    check_refused(tmp_path / "a.dng", words, read_raw)
+
+
+@pytest.mark.parametrize("name", BAYER)
+@pytest.mark.parametrize("margins", MARGINS[:3])
+def test_a_level_for_each_channel_is_exact(name: str, margins: tuple[int, int], tmp_path: Path) -> None:
+    """It counts from the active area's corner, as the CFA does."""
+    top, left = margins
+    stated = [[Fraction(257, 4), Fraction(61)], [Fraction(1, 3), Fraction(62)]]
+    parts = tuple(part for row in stated for level in row for part in level.as_integer_ratio())
+    tags = active_area(top, left, 64, 66), (50713, "H", 2, (2, 2), True), (50714, "2I", 4, parts, True)
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), letters(BAYER[name]), *tags)
+    found = read_raw(tmp_path / "a.dng")
+    expected = {BAYER[name][y][x]: stated[y][x] for y, x in product(range(2), repeat=2)}
+    assert [exact_fraction(level) for level in found.sensor.black_level_dn] == [expected[k] for k in range(4)]
+    write_dng(tmp_path / "b.dng", found.mosaic, found.sensor, found.exposure)
+    assert read_raw(tmp_path / "b.dng").sensor == found.sensor
 
 
 EXPOSURE_IN_IFD0: tuple[Tag, ...] = (
@@ -187,3 +216,16 @@ def test_a_maker_that_is_no_utf_8(
     monkeypatch.setattr(logging.root, "handlers", [])  # pytest's, without which Python prints
     assert read_header(tmp_path / "a.dng").make == "Acmé!"
     assert capsys.readouterr().err == ""
+
+
+def test_eight_threads_read_what_one_reads(tmp_path: Path) -> None:
+    for number, cfa in enumerate([*BAYER.values(), CFAS["xtrans-00"], CFAS["xtrans-41"]]):
+        compression: Any = "lossless-jpeg" if number % 2 else "none"
+        mosaic = random_mosaic(240, 252, seed=number)
+        write_dng(tmp_path / f"{number}.dng", mosaic, make_sensor(cfa, 240, 252), EXPOSURE, compression=compression)
+    paths = sorted(tmp_path.iterdir())
+    with ThreadPoolExecutor(8) as pool:
+        frames = list(pool.map(read_raw, paths * 10))
+    for frame, expected in zip(frames, [read_raw(path) for path in paths] * 10, strict=True):
+        assert (frame.path, frame.sensor, frame.exposure) == (expected.path, expected.sensor, expected.exposure)
+        np.testing.assert_array_equal(frame.mosaic, expected.mosaic)

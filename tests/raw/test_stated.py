@@ -16,11 +16,11 @@ import rawpy
 
 from eldata.errors import RawFileError
 from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
-from eldata.raw.container import read_container
+from eldata.raw.container import lossy_compression, read_container
 from eldata.raw.reading import raw_facts
 from eldata.raw.tiff import TiffReader
 from eldata.records import Exposure
-from tests.raw.helpers import EXPOSURE, Tag, make_sensor, random_mosaic, write_plain_dng
+from tests.raw.helpers import EXPOSURE, Tag, add_tags, make_sensor, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:
     from eldata.records import RawHeader
@@ -220,6 +220,29 @@ def test_a_real_dng() -> None:
     assert frame.mosaic.shape == (64, 96)
     # Its Orientation is 2, mirrored: the mosaic stands as the sensor was read out.
     assert frame.mosaic[0, :4].tolist() == list(struct.unpack_from("<4H", DNG.read_bytes(), 6992))
+
+
+# --- what loses data --------------------------------------------------------------------------------------------------
+
+PIXELS, LINEAR = 64 * 96, (262, "H", 1, 34892, True)
+
+
+@pytest.mark.parametrize(
+    ("compression", "held", "tags", "words"),
+    [
+        (32767, PIXELS, (), "Sony's lossy compression"),
+        (32767, PIXELS * 14 // 8, (), "none"),  # 14 bits a pixel
+        (1, PIXELS, (), "none"),  # eight bits
+        (34892, PIXELS // 3, (), "a DNG's lossy JPEG"),
+        (7, PIXELS // 2 * 3, (), "none"),
+        (34892, PIXELS // 3, (LINEAR,), "none"),  # no mosaic: 34892 is LinearRaw too
+    ],
+)
+def test_what_headers_say(compression: int, held: int, tags: tuple[Tag, ...], words: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.arw"
+    write_plain_dng(path, random_mosaic(64, 96))
+    add_tags(path, (259, "H", 1, compression, True), (279, "I", 1, held, True), *tags)
+    assert (lossy_compression(path) or "none").startswith(words)
 
 
 # --- once -----------------------------------------------------------------------------------------------------

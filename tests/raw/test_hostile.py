@@ -14,13 +14,7 @@ import pytest
 from eldata.raw import read_raw
 from eldata.raw.tiff import read_directories
 from tests.cases import in_one_test
-from tests.raw.helpers import (
-    Tag,
-    add_tags,
-    check_refused,
-    random_mosaic,
-    write_plain_dng,
-)
+from tests.raw.helpers import Tag, add_tags, check_refused, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -216,6 +216,8 @@ def test_a_damaged_jpeg_header(at: int, fill: bytes, words: str, tmp_path: Path)
         read_raw(path)
     with pytest.raises(RawFileError, match=rf"damaged: its image data, from byte {first} of the file on, {words}"):
         data_fault(path, read_directories(path), mosaic)
+    preview = Directory({259: (7,), 273: (first,), 279: (4000,)})  # which no pixels are taken of
+    assert data_fault(path, [preview], mosaic) is None
 
 
 def test_pixels_that_no_sensor_gives(tmp_path: Path) -> None:

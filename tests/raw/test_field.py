@@ -132,7 +132,15 @@ def write_shift(path: Path, mosaics: list[NDArray[np.uint16]], *, in_sub_ifds: b
     with tifffile.TiffWriter(path) as tiff:
         if in_sub_ifds:
             preview = np.zeros((24, 32, 3), np.uint8)
-            tiff.write(preview, photometric="rgb", subfiletype=1, subifds=len(mosaics), metadata=None, extratags=first)
+            tiff.write(
+                preview,
+                photometric="rgb",
+                compression="jpeg",
+                subfiletype=1,
+                subifds=len(mosaics),
+                metadata=None,
+                extratags=first,
+            )
         for index, mosaic in enumerate(mosaics):
             tags: list[Tag] = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((0, 1, 1, 2)), True)]
             tags += [(50714, "I", 1, 64 + index, True), (50717, "I", 1, 1023 + index, True)]

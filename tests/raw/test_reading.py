@@ -7,7 +7,7 @@ import logging
 import struct
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
-from itertools import product
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
 from eldata.raw.container import read_container
+from eldata.raw.reading import check_sizes, visible_cfa
 from eldata.records import Exposure, RawHeader, exact_fraction
 from tests.cases import in_one_test
 from tests.raw.helpers import (
@@ -32,6 +33,7 @@ from tests.raw.helpers import (
     black_levels,
     check_refused,
     letters,
+    levels_of,
     make_sensor,
     random_mosaic,
     write_plain_dng,
@@ -57,40 +59,26 @@ def where(part: np.ndarray, whole: np.ndarray) -> tuple[int, int]:
 
 
 @in_one_test("margins", MARGINS)
-@in_one_test("name", [*BAYER, "xtrans-21"])
-def test_the_phase_is_that_of_the_visible_area(name: str, margins: tuple[int, int], tmp_path: Path) -> None:
-    # A DNG's CFAPattern counts from the active area's corner. LibRaw widens an odd margin of Bayer by one.
-    path, whole = tmp_path / "a.dng", random_mosaic(64, 66)
-    cfa = CFAS[name]
-    write_plain_dng(path, whole, letters(cfa), active_area(*margins, 62, 65))
-    frame = read_raw(path)
-    top, left = where(frame.mosaic, whole)
-    assert margins[0] <= top <= margins[0] + 1
-    assert margins[1] <= left <= margins[1] + 1
-    assert frame.sensor.cfa == shifted(cfa, top - margins[0], left - margins[1])
-    assert frame.mosaic.shape == (frame.sensor.height, frame.sensor.width)
-    with rawpy.imread(str(path)) as raw:
-        seen = [["RGBG"[raw.raw_color(top + y, left + x)] for x in range(len(cfa))] for y in range(len(cfa))]
-    assert letters(frame.sensor.cfa) == ["".join(row) for row in seen]
-
-
-@in_one_test("margins", MARGINS)
-@in_one_test("name", [*QUAD, "nona-00", "nona-12", "nona-45"])
-def test_quad_and_nona_are_those_of_the_tags_at_the_visible_area(
-    name: str, margins: tuple[int, int], tmp_path: Path
-) -> None:
-    """LibRaw moves odd margins of a 4 x 4 pattern on, as Bayer's, and keeps those of 6 x 6."""
-    path, whole, cfa = tmp_path / "a.dng", random_mosaic(64, 66), {**QUAD, **NONA}[name]
-    of_channel = (100, 101, 102, 103)
-    levels = [[of_channel[channel] for channel in row] for row in cfa]
-    write_plain_dng(path, whole, letters(cfa), active_area(*margins, 62, 65), *black_levels(levels))
+@in_one_test("name", [*BAYER, "xtrans-21", *QUAD, "nona-00", "nona-12", "nona-45"])
+def test_phase_and_levels_are_those_of_the_visible_area(name: str, margins: tuple[int, int], tmp_path: Path) -> None:
+    """CFAPattern and BlackLevel count from the active area's corner. LibRaw widens odd margins, but of 6 x 6."""
+    path, whole, cfa = tmp_path / "a.dng", random_mosaic(64, 66), {**CFAS, **NONA}[name]
+    stated = [Fraction(257, 4), Fraction(61), Fraction(1, 3), Fraction(62)][: levels_of(cfa)]
+    parts = tuple(part for row in cfa for channel in row for part in stated[channel].as_integer_ratio())
+    repeat = (50713, "H", 2, (len(cfa),) * 2, True)
+    tags = active_area(*margins, 62, 65), repeat, (50714, "2I", len(parts) // 2, parts, True)
+    write_plain_dng(path, whole, letters(cfa), *tags)
     frame = read_raw(path)
     top, left = where(frame.mosaic, whole)
     assert 0 <= top - margins[0] <= 1
     assert 0 <= left - margins[1] <= 1
     assert frame.sensor.cfa == shifted(cfa, top - margins[0], left - margins[1])
-    assert frame.sensor.black_level_dn == (100.0, 101.0, 102.0, 103.0)
+    assert [exact_fraction(level) for level in frame.sensor.black_level_dn] == stated
     assert frame.mosaic.shape == (frame.sensor.height, frame.sensor.width)
+    if name not in {**QUAD, **NONA}:  # of which LibRaw has other colours
+        with rawpy.imread(str(path)) as raw:
+            seen = [["RGBG"[raw.raw_color(top + y, left + x)] for x in range(len(cfa))] for y in range(len(cfa))]
+        assert letters(frame.sensor.cfa) == ["".join(row) for row in seen]
 
 
 @pytest.mark.parametrize("kind", ["f", "d"])
@@ -113,20 +101,31 @@ def test_a_pattern_that_does_not_fit_the_cfa_is_named(repeat: tuple[int, int], t
     check_refused(tmp_path / "a.dng", words, read_raw)
 
 
-@pytest.mark.parametrize("name", BAYER)
-@pytest.mark.parametrize("margins", MARGINS[:3])
-def test_a_level_for_each_channel_is_exact(name: str, margins: tuple[int, int], tmp_path: Path) -> None:
-    """It counts from the active area's corner, as the CFA does."""
-    top, left = margins
-    stated = [[Fraction(257, 4), Fraction(61)], [Fraction(1, 3), Fraction(62)]]
-    parts = tuple(part for row in stated for level in row for part in level.as_integer_ratio())
-    tags = active_area(top, left, 64, 66), (50713, "H", 2, (2, 2), True), (50714, "2I", 4, parts, True)
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), letters(BAYER[name]), *tags)
-    found = read_raw(tmp_path / "a.dng")
-    expected = {BAYER[name][y][x]: stated[y][x] for y, x in product(range(2), repeat=2)}
-    assert [exact_fraction(level) for level in found.sensor.black_level_dn] == [expected[k] for k in range(4)]
-    write_dng(tmp_path / "b.dng", found.mosaic, found.sensor, found.exposure)
-    assert read_raw(tmp_path / "b.dng").sensor == found.sensor
+@pytest.mark.parametrize(
+    ("height", "top", "words"),
+    [
+        (60, 6, "damaged: its visible area of 60 x 60 pixels from 6, 0 on does not lie inside"),
+        (60000, 0, "truncated: "),
+    ],
+)
+def test_sizes_that_cannot_be(height: int, top: int, words: str, tmp_path: Path) -> None:
+    """As LibRaw makes them of a damaged file whose directories are not walked."""
+    (tmp_path / "a.nef").write_bytes(bytes(5000))
+    area = {"top_margin": top, "height": height, "left_margin": 0, "width": 60}
+    sizes = SimpleNamespace(raw_height=max(height, 64), raw_width=64, **area)
+    check_refused(tmp_path / "a.nef", words, lambda path: check_sizes(path, SimpleNamespace(sizes=sizes)))
+
+
+def test_colours_of_which_the_file_states_nothing_are_libraws(tmp_path: Path) -> None:
+    raw: Any = SimpleNamespace(color_desc=b"RGBG", sizes=SimpleNamespace(top_margin=1, left_margin=0))
+    raw.raw_pattern, raw.raw_color = np.zeros((2, 2)), lambda y, x: ((0, 1), (3, 2))[y % 2][x % 2]
+    assert visible_cfa(tmp_path, raw, None) == (BAYER["GBRG"], (0, 1, 2, 3))
+    raw.color_desc = b"RGBE"
+    check_refused(
+        tmp_path, r"RGBE \(with emerald sites\), 2 x 2 sites of BEGR", lambda path: visible_cfa(path, raw, None)
+    )
+    raw.raw_pattern = None
+    check_refused(tmp_path, "unsupported colour filter array: 0 x 0 sites", lambda path: visible_cfa(path, raw, None))
 
 
 def test_the_exposure_ratio_is_exact(tmp_path: Path) -> None:

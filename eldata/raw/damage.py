@@ -258,7 +258,7 @@ def picture_area(mosaic: NDArray[Any]) -> tuple[slice, slice]:
     """Find the rows and columns of a mosaic (H, W) within a border whose rows and columns are each of one value.
 
     No border are an edge that is saturated, or clipped at black, and noise too faint to change the DN: there the next
-    row or column has the same value in most of its pixels. Nor is what takes more than an eighth of a side.
+    row or column has the same value in most of its pixels. Nor is what takes an eighth of a side or more.
     """
     rows = _find_inner(mosaic)
     columns = _find_inner(mosaic[rows].T)

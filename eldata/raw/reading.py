@@ -470,8 +470,7 @@ def as_shot_multipliers(raw: rawpy.RawPy, first: Directory) -> tuple[float, floa
     """
     neutral = tuple(map(Fraction, first.values.get(tiff.AS_SHOT_NEUTRAL, ())))
     if len(neutral) == 3 and min(neutral) > 0:
-        red, green, blue = neutral
-        return exact_number(green / red), 1.0, exact_number(green / blue), 1.0
+        return exact_number(neutral[1] / neutral[0]), 1.0, exact_number(neutral[1] / neutral[2]), 1.0
     white = _neutral_of_white(first)
     red, green, blue, second_green = raw.camera_whitebalance if white is None else (*1 / white, 0)
     if not (red > 0 and green > 0 and blue > 0):

@@ -33,7 +33,8 @@ def test_it_is_the_rendering_in_linear_light_encoded_and_rounded(channels: int, 
     image = preview(colours[COLOURS[channels]], sensor)
     packed = torch.from_numpy(colours[COLOURS[channels]]).double()
     linear = Rendering.of(sensor, Gamma(1))(packed).permute(1, 2, 0).numpy()
-    assert (image.shape, image.dtype) == ((30, 40, 3), np.uint8)
+    assert image.shape == (30, 40, 3)
+    assert image.dtype == np.uint8
     # In float32 a value within 1e-5 of the middle between two codes may fall on its other side.
     exact = 255 * srgb_encode(linear)
     assert np.abs(image - exact).max() < 0.5 + 1e-3

@@ -332,7 +332,7 @@ def test_rows_of_zeros_are_no_flat_area_of_codes_that_are_lost(tmp_path: Path) -
 
 
 def test_what_is_no_border() -> None:
-    """Saturated and clipped edges, noise too faint to change the DN, a frame of one value, half a frame of 0."""
+    """Saturated and clipped edges, noise too faint to change the DN, a frame of one value, an eighth or half of 0."""
     sky = photograph(3.0, 5000.0)
     sky[:30] = 15871
     sky[30] = np.where(np.arange(WIDTH) % 3, 15871, 9000)
@@ -342,6 +342,8 @@ def test_what_is_no_border() -> None:
     quiet[:2] = 512
     half = photograph(3.0, 5000.0)
     half[HEIGHT // 2 :] = 0
-    for mosaic in (sky, clipped, quiet, half, np.full((HEIGHT, WIDTH), 512, np.uint16)):
+    eighth = photograph(3.0, 5000.0)
+    eighth[: HEIGHT // 8] = 0
+    for mosaic in (sky, clipped, quiet, half, eighth, np.full((HEIGHT, WIDTH), 512, np.uint16)):
         assert mosaic[picture_area(mosaic)].shape == mosaic.shape
     assert mosaic_fault(half, BLACK, 15871.0) is not None

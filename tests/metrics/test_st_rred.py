@@ -14,18 +14,7 @@ import torch
 from eldata.errors import ArgumentError
 from eldata.metrics import PEAK_8_BIT, PEAK_ELD, raw_to_grey, st_rred
 from eldata.metrics.st_rred import StRred, coarse_band
-from tests.metrics.golden.st_rred_clips import (
-    BAND_IMAGE,
-    CASES,
-    Case,
-    Clip,
-    drop,
-    noise,
-    packed,
-    scene,
-    still,
-    uniform,
-)
+from tests.metrics.golden.st_rred_clips import BAND_IMAGE, CASES, Case, Clip, drop, noise, packed, scene, still, uniform
 
 GOLDEN: dict[str, Any] = json.loads((Path(__file__).parent / "golden" / "st_rred.json").read_text(encoding="utf-8"))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import logging
 import struct
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
@@ -30,6 +29,7 @@ from tests.raw.helpers import (
     Cfa,
     Tag,
     active_area,
+    add_tags,
     black_levels,
     check_refused,
     letters,
@@ -136,6 +136,7 @@ def test_the_exposure_ratio_is_exact(tmp_path: Path) -> None:
     }
     for name, exposure in exposures.items():
         write_dng(tmp_path / f"{name}.dng", random_mosaic(60, 64), make_sensor(), exposure)
+    add_tags(tmp_path / "short.dng", (33434, "2I", 1, (1, 25), True))  # in the first directory: EXIF counts
     headers = {name: read_header(tmp_path / f"{name}.dng") for name in exposures}
     assert exposure_ratio(headers["long"], headers["short"]) == 300
     assert exposure_ratio(read_raw(tmp_path / "short.dng"), headers["long"]) == Fraction(1, 300)
@@ -178,15 +179,11 @@ def test_a_raf_cut_inside_of_a_part(at: int, tmp_path: Path) -> None:
     check_refused(path, "damaged: it declares 33554432 bytes of EXIF, and no camera writes 16777216")
 
 
-def test_a_maker_that_is_no_utf_8(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_maker_that_is_no_utf_8(tmp_path: Path) -> None:
     write_dng(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(make="Acme?"), EXPOSURE)
     content = (tmp_path / "a.dng").read_bytes()
     (tmp_path / "a.dng").write_bytes(content.replace(b"Acme?\0", b"Acm\xe9!\0"))
-    monkeypatch.setattr(logging.root, "handlers", [])  # pytest's, without which Python prints
     assert read_header(tmp_path / "a.dng").make == "Acmé!"
-    assert capsys.readouterr().err == ""
 
 
 def test_eight_threads_read_what_one_reads(tmp_path: Path) -> None:

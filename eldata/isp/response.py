@@ -105,7 +105,7 @@ class ResponseCurve:
                 f"{self.name}: has a curve each for R, G, B; expected an image (..., 3, h, w), found shape "
                 f"{tuple(linear.shape)}"
             )
-        # (curves, values): the points of one channel are those of its curve.
+        # (curves, values): each channel has its curve's points.
         rows = linear.movedim(-3, 0).reshape(3, -1) if len(self.irradiance) == 3 else linear.reshape(1, -1)
         # Half precision cannot tell neighbouring points apart.
         rows = rows.clamp(0, 1).to(torch.promote_types(rows.dtype, torch.float32))

@@ -94,7 +94,7 @@ def error_and_similarity(
 
     ``treatment`` of the prediction: it is clamped to [first, second], multiplied by the third number and clamped to
     [fourth, fifth]. The error counts the first ``owned_rows`` rows (the rest belong to the next band), the SSIM map
-    every full window. ``degrees`` divides the covariances: 48 for those of a sample, 49 for those of a population.
+    every full window. ``degrees`` divides the covariances: 48 of a sample, 49 of a population.
 
     With s = x + y and d = x - y, SSIM needs only the window sums of s, d, s^2 and d^2: 2xy = (s^2 - d^2) / 2
     and x^2 + y^2 = (s^2 + d^2) / 2. Numerator and denominator then differ in the sign of the d terms alone,

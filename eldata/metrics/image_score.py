@@ -93,7 +93,7 @@ class Score:
 def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, threads: int | None = None) -> float:
     """Compute the peak signal-to-noise ratio, ``10 log10(data_range^2 / MSE)``.
 
-    The mean squared error is that of all channels together. Nothing is clipped.
+    The mean squared error is taken over all channels together. Nothing is clipped.
 
     Parameters
     ----------

@@ -3,7 +3,7 @@
 Soundararajan and Bovik, "Video quality assessment by reduced reference spatio-temporal entropic differencing",
 IEEE Transactions on Circuits and Systems for Video Technology 23 (2013). Where the paper leaves a choice, or the
 authors' MATLAB release and its port ``skvideo.measure.strred`` (scikit-video 1.1.11) differ from it, this module
-does as the port does, because published numbers, those of the ELD paper among them, were made with it.
+does as the port does, because published numbers, the ELD paper's among them, were made with it.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def st_rred(
 
     - Frames are used in pairs, 0 with 1, 2 with 3: the step from 1 to 2 does not count, nor does the last frame of
       an odd number. It is not looked at.
-    - The spatial part is that of the first frame of each pair. If those are equal, the product is zero whatever
+    - The spatial part is of each pair's first frame alone. If those are equal, the product is zero whatever
       happened to the second: look at ``temporal`` too.
     - One band of the pyramid counts, at an eighth of the size, with mirrored edges.
     - K is the covariance over all overlapping windows of the band, divided by their number. The band is first
@@ -138,7 +138,7 @@ def st_rred(
     peak
         The scale at which the clips are compared: they are multiplied by ``peak / data_range``. The variance of
         the neural noise, 0.1, is fixed on this scale, so the score depends on it strongly:
-        :data:`PEAK_8_BIT`, 255, is that of the paper and of 8-bit video; :data:`PEAK_ELD`, 1, is what the code
+        :data:`PEAK_8_BIT`, 255, is used by the paper and for 8-bit video; :data:`PEAK_ELD`, 1, is what the code
         released with the ELD paper does for raw clips. Scores at two scales do not compare.
     threads
         Number of threads, by default one per CPU; the result is the same to the bit for any number.

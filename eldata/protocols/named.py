@@ -50,7 +50,7 @@ def _convert_value(value: Any, texts: dict[str, str]) -> Any:
 
 
 PROTOCOLS: dict[str, Protocol] = _read_shipped(_CONTENT)
-"""Those of images and those of clips, by name."""
+"""Protocols of images and of clips, by name."""
 
 FAMILIES: tuple[str, ...] = tuple(dict.fromkeys(p.family for p in PROTOCOLS.values() if p.family))
 """Names that stand for one protocol per dataset."""
@@ -150,8 +150,8 @@ def protocols_for(dataset: str) -> tuple[Protocol, ...]:
     """List the protocols that were made for a dataset.
 
     A set of no known name has its own pairs, so it gets one protocol of images of each way to score, the first of the
-    shipped ones. Levels that are those of one camera, whatever the file states, are not a way to score
-    another, nor is cutting down to whole DN, of which a set may hold none, nor SSIM of grey blocks.
+    shipped ones. One camera's levels, whatever the file states, are not a way to score another, nor is cutting down to
+    whole DN, of which a set may hold none, nor SSIM of grey blocks.
 
     Examples
     --------

@@ -140,7 +140,7 @@ class Protocol(_Describable):
         What a network gets and what it makes, ``raw`` or ``srgb``: the paper's Raw2Raw, Raw2RGB and RGB2RGB (section
         4.5). A prediction in ``srgb`` is (3, h, w), a pixel for each packed one, rescaled
         and compared as it is; an input in ``srgb`` is the amplified frame, rendered in 8 bits with the white balance
-        and matrix of its own file. The score of the input itself is that of such a rendering in either case.
+        and matrix of its own file. The input itself is scored as such a rendering in either case.
     response
         The curve of ``eld-isp``: ``gamma-2.2`` or of another exponent, or all points of a measured one
         (:attr:`eldata.isp.ResponseCurve.text`), which a file of one's own names instead
@@ -404,7 +404,7 @@ def canonical(stated: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Plain types: numbers are floats, lists are sorted. ``version`` is that of this list.
+        Plain types: numbers are floats, lists are sorted. ``version`` counts changes of this list.
     """
     values = {name: _to_plain(value) for name, value in stated.items() if name not in _PROSE}
     if values.get("rescaling") == "none" or values.get("rescaling_region") == values.get("region"):

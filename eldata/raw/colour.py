@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from eldata.records import Matrix3
 
-# Temperatures of the sources of light, as EXIF numbers them: CIE's, and those of the DNG SDK for the others.
+# Temperatures of the sources of light, as EXIF numbers them: CIE's, and the DNG SDK's for the others.
 _KELVIN = {17: 2850, 3: 2850, 24: 3200, 23: 5000, **dict.fromkeys((20, 1, 4, 9, 18), 5500)}
 _KELVIN |= {**dict.fromkeys((21, 10, 19), 6500), **dict.fromkeys((22, 11), 7500)}
 _KELVIN |= {2: 4150, 12: 6400, 13: 5050, 14: 4150, 15: 3525, 16: 2925}  # fluorescent lamps

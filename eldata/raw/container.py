@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-_FIRST_YEAR = 1990  # no camera wrote raw files before: such a time is that of a clock that was never set
+_FIRST_YEAR = 1990  # no camera wrote raw files before: an earlier time is of a clock that was never set
 # By EXIF's SensitivityType, which says which of them the ISO repeats.
 _SENSITIVITIES = {2: tiff.EXPOSURE_INDEX, 1: tiff.OUTPUT_SENSITIVITY, 3: tiff.ISO_SPEED}
 _ISO_BEYOND_16_BITS = 65535  # what EXIF 2.3 puts in 16 bits where the speed is stated elsewhere

@@ -174,8 +174,7 @@ def data_fault(
     """Describe what shows that some compressed data of a TIFF-based file were lost; None if nothing does.
 
     ``mosaic``: (H, W) uint16 as decoded: whether it has clipped areas decides what its data may look like. ``rows``:
-    those between a border's rows of zeros, which lost data decode to, but for those of a lossless JPEG: they go on with
-    the value before them.
+    within a border's rows of zeros. Lost data decode to zeros; in a lossless JPEG they repeat the value before them.
 
     Raises
     ------

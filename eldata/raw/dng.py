@@ -151,11 +151,11 @@ def write_dng(
 ) -> None:
     """Write a mosaic as a DNG, whole or not at all.
 
-    :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (a sensor without a matrix gets that of
-    LibRaw's table if LibRaw knows the model). Numbers are written as the fractions that they stand for
-    (:func:`eldata.records.exact_fraction`). One that the fields of TIFF, two whole numbers of 32 bits, cannot hold is
+    :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (for a sensor without a matrix LibRaw's,
+    if its table has the model). Numbers are written as the fractions that they stand for
+    (:func:`eldata.records.exact_fraction`). A number that does not fit TIFF's fields, two whole numbers of 32 bits, is
     rounded (:func:`eldata.raw.tiff.round_fraction`), off by less than one part in four billion (of matrices, which have
-    signs, two billion). A DNG has one white balance for both greens: that of G1.
+    signs, two billion). A DNG has one white balance for both greens: G1's.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ Bayer (2x2, any phase)
 X-Trans (6x6, any offset)
     (9, H/3, W/3) in the order of the SID code [1]_: R, G, B, R, B, G, G, G, G.
 Quad-Bayer (4x4: Bayer of 2x2 blocks, any offset)
-    (16, H/4, W/4): the sites of R's block row by row (R.00, R.01, R.10, R.11), then those of G1's, of B's, of G2's.
+    (16, H/4, W/4): the sites of R's block row by row (R.00, R.01, R.10, R.11), then of G1's, of B's, of G2's.
 Nona-Bayer (6x6: Bayer of 3x3 blocks, any offset)
     (36, H/6, W/6): likewise, nine sites a block.
 
@@ -193,7 +193,7 @@ def bayer_cfa(first: str = "RGGB", block: int = 1) -> CfaRows:
     Raises
     ------
     ArgumentError
-        If the colours are not those of a Bayer pattern, or the block is of another size.
+        If the colours are no Bayer pattern, or the block is of another size.
     """
     if block not in _BLOCK_NAMES:
         raise ArgumentError(f"block must be 1 (Bayer), 2 (quad-Bayer) or 3 (nona-Bayer); found {block!r}")
@@ -203,7 +203,7 @@ def bayer_cfa(first: str = "RGGB", block: int = 1) -> CfaRows:
 
 def cfa_of_letters(rows: Sequence[str]) -> CfaRows | None:
     """Find the CFA that has these colours (R, G, B), one period by row; None if it is unsupported."""
-    # Of a pattern that tells its greens apart, G1 is that of R's rows.
+    # A pattern that tells its greens apart has G1 in R's rows.
     two_greens = tuple(tuple({"R": 0, "B": 2}.get(c, 1 if "R" in row else 3) for c in row) for row in rows)
     one_green = tuple(tuple({"R": 0, "B": 2}.get(c, 1) for c in row) for row in rows)
     if set("".join(rows)) == set("RGB"):
@@ -465,7 +465,7 @@ PUBLISHED_WHITE_LEVEL_DN = 16383.0
 
 # Black and white level that published code has for every file of a camera: the SID code (the same places), and for the
 # phone of LRID PMN's (branch TPAMI, data_process/phone_datasets.py). The ELD code takes the black level of a Bayer file
-# from the file, and that of X-Trans from here.
+# from the file, and for X-Trans from here.
 CAMERA_LEVELS_DN: dict[str, tuple[float, float]] = {
     "sid-sony": (512.0, PUBLISHED_WHITE_LEVEL_DN),
     "sid-fuji": (1024.0, PUBLISHED_WHITE_LEVEL_DN),
@@ -565,7 +565,7 @@ def packed_frame(
 ) -> NDArray[np.float32]:
     """Pack and normalise a frame, (C, h, w) float32.
 
-    Arguments are those of :func:`pack_normalised`, and levels and reference as :func:`with_levels` has them.
+    Arguments as for :func:`pack_normalised`, and levels and reference as for :func:`with_levels`.
 
     Raises
     ------

@@ -74,11 +74,11 @@ ASCII, SHORT = 2, 3
 _FRACTIONS, _FLOATS = (5, 10), (11, 12)
 _CODES = {1: "B", 3: "H", 4: "I", 5: "I", 6: "b", 7: "B", 8: "h", 9: "i", 10: "i", 11: "f", 12: "d", 13: "I"}
 # Of all directories together; a file with more is damaged, or made to keep a reader busy. Cameras write some hundred
-# entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
+# entries. The values are counted for the tags above: two for each strip or tile, of which 150 megapixels in rows or in
 # tiles of 128 x 128 pixels have 20,000.
 _MOST = {"directories": 64, "entries": 1 << 12, "values": 1 << 17}
-_MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: those of cameras have up to 8
-_MOST_MASKED = 8  # areas of masked pixels: those of cameras have up to 4
+_MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: cameras write up to 8
+_MOST_MASKED = 8  # areas of masked pixels: cameras write up to 4
 # How many numbers these tags of a mosaic hold: readers take them apart.
 _COUNTS = {
     WIDTH: (1,),

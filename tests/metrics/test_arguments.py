@@ -163,7 +163,7 @@ def test_bad_numbers(name: str, value: float) -> None:
     of_images = (metrics.psnr, metrics.ssim) if name == "data_range" else ()
     for metric in (metrics.st_rred, *of_images):
         with pytest.raises(ArgumentError, match=f"{name} must be positive and finite, not"):
-            metric(np.zeros((2, 50, 60)), np.zeros((2, 50, 60)), **{name: value})  # type: ignore[arg-type]
+            metric(np.zeros((2, 50, 60)), np.zeros((2, 50, 60)), **{name: value})
 
 
 @pytest.mark.parametrize("metric", METRICS)

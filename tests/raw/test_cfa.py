@@ -136,9 +136,8 @@ def test_one_step_makes_the_other_two_forms(name: str, side: int) -> None:
 
 
 def test_the_number_of_channels_tells_the_kinds_apart() -> None:
-    assert {channels: sites.name for channels, sites in packed_layouts().items()} == {
-        4: "Bayer", 9: "X-Trans", 16: "quad-Bayer", 36: "nona-Bayer"
-    }  # fmt: skip
+    names = {channels: sites.name for channels, sites in packed_layouts().items()}
+    assert names == {4: "Bayer", 9: "X-Trans", 16: "quad-Bayer", 36: "nona-Bayer"}
     assert packing_sites(QUAD["quad-13"]).names[:6] == ("R.00", "R.01", "R.10", "R.11", "G1.00", "G1.01")
 
 

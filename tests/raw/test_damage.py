@@ -51,8 +51,7 @@ def photograph(sigma: float, signal: float, *, seed: int = 0, black: float = 512
     return mosaic
 
 
-Compression = Literal["none", "lossless-jpeg"]
-KINDS: dict[str, tuple[Cfa, Compression]] = {
+KINDS: dict[str, tuple[Cfa, Literal["none", "lossless-jpeg"]]] = {
     "compressed": (BAYER["RGGB"], "lossless-jpeg"),
     "uncompressed": (BAYER["GBRG"], "none"),
     "X-Trans, compressed": (xtrans_at(0, 0), "lossless-jpeg"),

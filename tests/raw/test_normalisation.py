@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from eldata.errors import ArgumentError
 from eldata.raw import normalise, pack, pack_normalised
-from eldata.raw.levels import FRAME_LEVELS, FrameLevels, packed_frame, with_levels
+from eldata.raw.levels import FRAME_LEVELS, Clip, FrameLevels, packed_frame, with_levels
 from eldata.records import Exposure, RawFrame
 from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, CFAS, Cfa, indices_of, is_xtrans, make_sensor, random_mosaic, reference_pack
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-Clip = Literal["both", "upper", "none"]
 CLIPS: tuple[Clip, ...] = ("both", "upper", "none")
 
 BAYER_BLACK = (512.0, 509.25, 511.0, 514.0)

@@ -397,6 +397,7 @@ def test_imports_help_and_verify_load_what_they_need(pristine: Tree) -> None:
         "from eldata.cli.main import main; main(['info']); main(['download', 'eld'])",
         "from capture import RELEASED, plan_calibration; from capture.camera import EXAMPLE; RELEASED.frames()",
         "import eldata; eldata.metrics.psnr",  # which needs no import of its own
+        "import numpy as np; from eldata.metrics import psnr; psnr(np.zeros((9, 9)), np.ones((9, 9)))",
     ]
     common = ["verify", str(pristine.csv), "--root", str(pristine.root), "--jobs", "1", "--level"]
     quick, metadata, full = (

@@ -48,8 +48,7 @@ def render_libraw(path: Path | str) -> NDArray[np.uint8]:
 
 def _render(path: Path) -> NDArray[np.uint8]:
     from eldata.raw.container import read_container
-    from eldata.raw.libraw import open_raw
-    from eldata.raw.reading import read_raw
+    from eldata.raw.reading import open_raw, read_raw
 
     # Decoded first for its checks, which LibRaw lacks. It also leaves this thread's OpenMP at one thread: a pool, which
     # demosaicing would start, makes workers forked later hang (eldata.raw.reading).

@@ -162,7 +162,7 @@ def white_balance(packed: torch.Tensor, multipliers: torch.Tensor) -> torch.Tens
     packed
         (..., C, h, w), normalised: Bayer (C = 4), X-Trans (9), quad-Bayer (16) or nona-Bayer (36).
     multipliers
-        (4,): those of R, G1, B, G2. X-Trans takes R, G1 and B.
+        (4,): for R, G1, B, G2. X-Trans takes R, G1 and B.
 
     Returns
     -------

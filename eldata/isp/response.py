@@ -89,7 +89,7 @@ class ResponseCurve:
                 )
 
     def __call__(self, linear: torch.Tensor) -> torch.Tensor:
-        """Return the brightness of an irradiance (..., 3, h, w), or of any shape if one curve serves all colours.
+        """Apply the curve to an irradiance (..., 3, h, w), or of any shape if one curve serves all colours.
 
         Values outside [0, 1] are clipped. dtype and device stay.
 
@@ -105,7 +105,7 @@ class ResponseCurve:
                 f"{self.name}: has a curve each for R, G, B; expected an image (..., 3, h, w), found shape "
                 f"{tuple(linear.shape)}"
             )
-        # (curves, values): the points of one channel are those of its curve.
+        # (curves, values): each channel has its curve's points.
         rows = linear.movedim(-3, 0).reshape(3, -1) if len(self.irradiance) == 3 else linear.reshape(1, -1)
         # Half precision cannot tell neighbouring points apart.
         rows = rows.clamp(0, 1).to(torch.promote_types(rows.dtype, torch.float32))
@@ -167,7 +167,7 @@ def read_response_table(path: Path | str) -> ResponseCurve:
 
 @lru_cache(maxsize=8)
 def response_of(text: str) -> Response:
-    """Return the response that a protocol states: ``gamma-2.2``, or a curve's :attr:`ResponseCurve.text`.
+    """Make the response that a protocol states: ``gamma-2.2``, or a curve's :attr:`ResponseCurve.text`.
 
     Raises
     ------

@@ -32,7 +32,7 @@ _LEAST_FOR_THREADS_WINDOWED = 1 << 18
 
 
 def host_array(image: Image, name: str) -> Array:
-    """Return ``image`` as a numpy array; a tensor is detached, and copied only from another device.
+    """Convert an image to a numpy array; a tensor is detached, and copied only from another device.
 
     bfloat16, which numpy does not know, becomes float32.
     """
@@ -97,17 +97,17 @@ class Pair:
         ]
 
     def over_bands(self, work: Callable[[Band], Result], threads: int | None, window: int = 1) -> list[Result]:
-        """Return ``work(band)`` of every band, in order."""
+        """Compute ``work(band)`` of every band, in order."""
         least = _LEAST_FOR_THREADS if window == 1 else _LEAST_FOR_THREADS_WINDOWED
         return in_threads(work, self.bands(window), 1 if self.prediction.size < least else threads)
 
     def over_row_bands(self, work: Callable[[tuple[int, int]], Result], threads: int | None) -> list[Result]:
-        """Return ``work((start, stop))`` of bands of rows of all channels, in order."""
+        """Compute ``work((start, stop))`` of bands of rows of all channels, in order."""
         bands = _row_bands(self.prediction.shape[1])
         return in_threads(work, bands, 1 if self.prediction.size < _LEAST_FOR_THREADS_WINDOWED else threads)
 
     def blocks(self, band: Band) -> tuple[Block, Block]:
-        """Return the band's rows of both images, C-contiguous; they are copied only where they must be."""
+        """Take the band's rows of both images, C-contiguous; they are copied only where they must be."""
         return self._block(self.prediction, band), self._block(self.reference, band)
 
     def _block(self, image: Array, band: Band) -> Block:
@@ -122,7 +122,7 @@ def _row_bands(rows: int) -> list[tuple[int, int]]:
     return list(pairwise(rows * index // count for index in range(count + 1)))
 
 
-def pair(prediction: Image, reference: Image, *, smallest: int = 1, data_range: float = math.inf) -> Pair:
+def check_pair(prediction: Image, reference: Image, *, smallest: int = 1, data_range: float = math.inf) -> Pair:
     """Check both images and return them as a :class:`Pair`.
 
     Parameters
@@ -138,7 +138,7 @@ def pair(prediction: Image, reference: Image, *, smallest: int = 1, data_range: 
     ------
     ArgumentError
         If an image is not one image of floating-point numbers, the shapes differ, or they are too small; or if the
-        reference reaches beyond twice the data range, which is then that of another scale.
+        reference reaches beyond twice the data range, and so is on another scale.
     """
     p = host_array(prediction, "the prediction")
     g = host_array(reference, "the reference")
@@ -181,6 +181,6 @@ def total(parts: Iterable[float]) -> float:
 
 
 def totals(parts: Iterable[tuple[float, float]]) -> tuple[float, float]:
-    """Return :func:`total` of the first and of the second sums."""
+    """Add the first and the second sums, each by :func:`total`."""
     first, second = zip(*parts, strict=True)
     return total(first), total(second)

@@ -32,7 +32,7 @@ _STRIDE = _STRIP + 16  # room for the margin; constant, which lets LLVM see that
 
 @kernel
 def clamp(value: float, low: float, high: float) -> float:
-    """Return a value limited to [low, high]; NaN stays NaN."""
+    """Limit a value to [low, high]; NaN stays NaN."""
     if value < low:
         return low
     if value > high:
@@ -64,7 +64,7 @@ def products(prediction: Block, reference: Block, low: float, high: float) -> tu
 
 @kernel
 def squared_error(prediction: Block, reference: Block) -> float:
-    """Return the sum of (p - g)^2."""
+    """Sum (p - g)^2."""
     rows, columns = prediction.shape
     sums = np.zeros(_STRIP)
     for row in range(rows):
@@ -90,11 +90,11 @@ def error_and_similarity(
     c2: float,
     degrees: float,
 ) -> tuple[float, float]:
-    """Return the sum of squared errors and the sum of the SSIM map of one band.
+    """Sum the squared errors and the SSIM map of one band.
 
     ``treatment`` of the prediction: it is clamped to [first, second], multiplied by the third number and clamped to
     [fourth, fifth]. The error counts the first ``owned_rows`` rows (the rest belong to the next band), the SSIM map
-    every full window. ``degrees`` divides the covariances: 48 for those of a sample, 49 for those of a population.
+    every full window. ``degrees`` divides the covariances: 48 of a sample, 49 of a population.
 
     With s = x + y and d = x - y, SSIM needs only the window sums of s, d, s^2 and d^2: 2xy = (s^2 - d^2) / 2
     and x^2 + y^2 = (s^2 + d^2) / 2. Numerator and denominator then differ in the sign of the d terms alone,
@@ -244,7 +244,7 @@ def gaussian_error_and_similarity(
     c2: float,
     covariance_scale: float,
 ) -> tuple[float, float]:
-    """Return the sum of squared errors and the sum of the SSIM map of one band of some channels.
+    """Sum the squared errors and the SSIM map of one band of some channels.
 
     ``prediction`` and ``reference`` are (channels, rows, columns). The prediction is first treated as
     :func:`eldata.metrics._kernels.error_and_similarity` does. The error counts the first ``owned_rows`` rows, the SSIM

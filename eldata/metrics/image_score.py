@@ -10,10 +10,10 @@ import numpy as np
 
 from eldata.base.arrays import is_tensor
 from eldata.errors import ArgumentError, check_choice
-from eldata.metrics._images import check_data_range, check_threads, host_array, pair, total, totals
+from eldata.metrics._images import check_data_range, check_pair, check_threads, host_array, total, totals
 from eldata.metrics._kernels import products, squared_error
 from eldata.metrics.registry import Covariance, PredictionClamp, Rescaling, Rounding, SsimWindow
-from eldata.metrics.similarity import AS_IT_IS, check_windowing, error_and_ssim, side_of, treated
+from eldata.metrics.similarity import AS_IT_IS, check_windowing, error_and_ssim, treated, window_side
 
 if TYPE_CHECKING:
     import torch
@@ -93,7 +93,7 @@ class Score:
 def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, threads: int | None = None) -> float:
     """Compute the peak signal-to-noise ratio, ``10 log10(data_range^2 / MSE)``.
 
-    The mean squared error is that of all channels together. Nothing is clipped.
+    The mean squared error is taken over all channels together. Nothing is clipped.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, thread
     """
     check_threads(threads)
     check_data_range(data_range)
-    images = pair(prediction, reference, data_range=data_range)
+    images = check_pair(prediction, reference, data_range=data_range)
 
     def work(band: Band) -> float:
         return squared_error(*images.blocks(band))
@@ -197,7 +197,7 @@ def score_by(
     factor: float | None = None,
     threads: int | None = None,
 ) -> Score:
-    """Score one prediction by given rules; see :func:`score`, which does so by those of ELD.
+    """Score one prediction by given rules; :func:`score` does so by ELD's rules.
 
     Parameters
     ----------
@@ -216,12 +216,12 @@ def score_by(
     """
     rules.check()
     check_threads(threads)
-    images = pair(prediction, reference, smallest=side_of(rules.ssim_window), data_range=rules.data_range)
+    images = check_pair(prediction, reference, smallest=window_side(rules.ssim_window), data_range=rules.data_range)
     if factor is None:
-        factor = _factor(images, rules, threads)
+        factor = _find_factor(images, rules, threads)
     treatment, data_range = rules.treatment(factor), rules.data_range
     if rules.rounding != "none":
-        images, data_range = _rounded(images, rules, treatment), 255.0 * rules.data_range
+        images, data_range = _round_images(images, rules, treatment), 255.0 * rules.data_range
         treatment = AS_IT_IS
     error, similarity = error_and_ssim(
         images, data_range, treatment, threads, window=rules.ssim_window, covariance=rules.ssim_covariance
@@ -231,7 +231,7 @@ def score_by(
 
 
 def factor_by(prediction: Image, reference: Image, rules: ScoringRules, *, threads: int | None = None) -> float:
-    """Return the factor by which ``rules`` rescales a prediction; 1.0 if they do not.
+    """Find the factor by which ``rules`` rescales a prediction; 1.0 if they do not.
 
     Raises
     ------
@@ -240,10 +240,10 @@ def factor_by(prediction: Image, reference: Image, rules: ScoringRules, *, threa
     """
     rules.check()
     check_threads(threads)
-    return _factor(pair(prediction, reference, data_range=rules.data_range), rules, threads)
+    return _find_factor(check_pair(prediction, reference, data_range=rules.data_range), rules, threads)
 
 
-def _factor(images: Pair, rules: ScoringRules, threads: int | None) -> float:
+def _find_factor(images: Pair, rules: ScoringRules, threads: int | None) -> float:
     if rules.rescaling == "none":
         return 1.0
     low, high = rules.treatment(1.0)[:2]
@@ -274,14 +274,14 @@ def as_compared(prediction: Image, reference: Image, rules: ScoringRules, factor
         As :func:`score_by`.
     """
     rules.check()
-    images, treatment = pair(prediction, reference), rules.treatment(factor)
+    images, treatment = check_pair(prediction, reference), rules.treatment(factor)
     if rules.rounding == "none":
         return treated(images.prediction, treatment), images.reference.astype(np.float64)
-    codes = _rounded(images, rules, treatment)
+    codes = _round_images(images, rules, treatment)
     return codes.prediction / np.float32(255), codes.reference / np.float32(255)
 
 
-def _rounded(images: Pair, rules: ScoringRules, treatment: Treatment) -> Pair:
+def _round_images(images: Pair, rules: ScoringRules, treatment: Treatment) -> Pair:
     """Round both images to 8-bit codes, which float32 holds exactly."""
     half = 0.5 if rules.rounding == "8-bit" else 0.0
 
@@ -291,7 +291,7 @@ def _rounded(images: Pair, rules: ScoringRules, treatment: Treatment) -> Pair:
             result[channel] = np.clip(np.floor(255.0 * treated(plane, treatment) + half), 0.0, 255.0)
         return result
 
-    return pair(codes(images.prediction, treatment), codes(images.reference, AS_IT_IS))
+    return check_pair(codes(images.prediction, treatment), codes(images.reference, AS_IT_IS))
 
 
 # --- ELD's illuminance correction: the one factor that brings a prediction to its reference's brightness --------------

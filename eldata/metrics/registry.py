@@ -1,4 +1,4 @@
-"""The metrics: what each is, how it is shown, what computes it; and the tables of those of images and of clips.
+"""The metrics: meaning, display and function of each, and the tables of the metrics of images and of clips.
 
 A metric more is its function in a module of its own, an entry here, and its test. Tables, CSV, JSON, pages, comparisons
 and help read the entry. Nothing heavy is imported here: help shows it.
@@ -139,7 +139,7 @@ RESCALE: Final = Figure(
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What is scored.
+    """Images or clips: what is scored, and the columns of its tables.
 
     Attributes
     ----------
@@ -175,11 +175,11 @@ class Kind:
         return self.unit == CLIPS.unit
 
     def having(self, metric: Figure) -> Kind:
-        """Return it with one more column: a task of the user's own."""
+        """Add a column: the metric of a user's own task."""
         return replace(self, metrics=(*self.metrics, metric), values=(*self.values, metric.name))
 
     def metric(self, name: str) -> Figure:
-        """Return a column by its name.
+        """Find a column by its name.
 
         Raises
         ------

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias, get_args
 import numpy as np
 
 from eldata.errors import check_choice
-from eldata.metrics._images import check_data_range, check_threads, pair, totals
+from eldata.metrics._images import check_data_range, check_pair, check_threads, totals
 from eldata.metrics._kernels import (
     GAUSSIAN_WINDOW,
     RADIUS,
@@ -34,7 +34,7 @@ _K2 = 0.03
 
 
 def treated(values: Array, treatment: Treatment) -> NDArray[np.float64]:
-    """Return values as they are compared, in float64."""
+    """Clamp, multiply and clamp values, in float64."""
     low, high, factor, final_low, final_high = treatment
     return np.clip(np.clip(values.astype(np.float64), low, high) * factor, final_low, final_high)
 
@@ -97,7 +97,7 @@ def ssim(
     check_threads(threads)
     check_data_range(data_range)
     check_windowing(window, covariance)
-    images = pair(prediction, reference, smallest=side_of(window), data_range=data_range)
+    images = check_pair(prediction, reference, smallest=window_side(window), data_range=data_range)
     return error_and_ssim(images, data_range, AS_IT_IS, threads, window=window, covariance=covariance)[1]
 
 
@@ -107,8 +107,8 @@ def check_windowing(window: str, covariance: str) -> None:
     check_choice("covariance", covariance, get_args(Covariance))
 
 
-def side_of(window: SsimWindow) -> int:
-    """Return the side of a window: the least height and width of an image."""
+def window_side(window: SsimWindow) -> int:
+    """Side of a window: the least height and width of an image."""
     return WINDOW if window == "uniform-7" else GAUSSIAN_WINDOW
 
 
@@ -121,12 +121,12 @@ def error_and_ssim(
     window: SsimWindow = "uniform-7",
     covariance: Covariance = "sample",
 ) -> tuple[float, float]:
-    """Return the mean squared error and the SSIM of a prediction treated this way."""
+    """Compute the mean squared error and the SSIM of a prediction treated this way."""
     c1 = (_K1 * data_range) ** 2
     c2 = (_K2 * data_range) ** 2
     if window == "gaussian-11-volume":
-        return _in_volume(images, c1, c2, treatment, covariance, threads)
-    side = side_of(window)
+        return _sum_volume(images, c1, c2, treatment, covariance, threads)
+    side = window_side(window)
     entries = side * side
     degrees = entries - 1 if covariance == "sample" else entries
 
@@ -157,7 +157,7 @@ def error_and_ssim(
 _ONE_CHANNEL = np.ones((1, 1))
 
 
-def _channel_mixing(channels: int) -> NDArray[np.float64]:
+def _weigh_channels(channels: int) -> NDArray[np.float64]:
     """Weigh the channels in a window around each channel, with the outer channels repeated outwards."""
     mixing = np.zeros((channels, channels))
     for channel in range(channels):
@@ -166,16 +166,16 @@ def _channel_mixing(channels: int) -> NDArray[np.float64]:
     return mixing
 
 
-def _in_volume(
+def _sum_volume(
     images: Pair, c1: float, c2: float, treatment: Treatment, covariance: Covariance, threads: int | None
 ) -> tuple[float, float]:
     channels, height, _ = images.prediction.shape
-    mixing = _channel_mixing(channels)
+    mixing = _weigh_channels(channels)
     entries = GAUSSIAN_WINDOW**3
     scale = entries / (entries - 1) if covariance == "sample" else 1.0
 
     def block(image: NDArray[np.floating], rows: tuple[int, int]) -> Block:
-        """Return some rows of all channels, continued beyond the image's edges."""
+        """Take some rows of all channels, continued beyond the image's edges."""
         wanted = np.arange(rows[0] - RADIUS, rows[1] + RADIUS).clip(0, height - 1)
         inner = image[:, wanted].astype(images.dtype, copy=False)
         result = np.pad(inner, ((0, 0), (0, 0), (RADIUS, RADIUS)), mode="edge")

@@ -3,7 +3,7 @@
 Soundararajan and Bovik, "Video quality assessment by reduced reference spatio-temporal entropic differencing",
 IEEE Transactions on Circuits and Systems for Video Technology 23 (2013). Where the paper leaves a choice, or the
 authors' MATLAB release and its port ``skvideo.measure.strred`` (scikit-video 1.1.11) differ from it, this module
-does as the port does, because published numbers, those of the ELD paper among them, were made with it.
+does as the port does, because published numbers, the ELD paper's among them, were made with it.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def st_rred(
 
     - Frames are used in pairs, 0 with 1, 2 with 3: the step from 1 to 2 does not count, nor does the last frame of
       an odd number. It is not looked at.
-    - The spatial part is that of the first frame of each pair. If those are equal, the product is zero whatever
+    - The spatial part is of each pair's first frame alone. If those are equal, the product is zero whatever
       happened to the second: look at ``temporal`` too.
     - One band of the pyramid counts, at an eighth of the size, with mirrored edges.
     - K is the covariance over all overlapping windows of the band, divided by their number. The band is first
@@ -138,7 +138,7 @@ def st_rred(
     peak
         The scale at which the clips are compared: they are multiplied by ``peak / data_range``. The variance of
         the neural noise, 0.1, is fixed on this scale, so the score depends on it strongly:
-        :data:`PEAK_8_BIT`, 255, is that of the paper and of 8-bit video; :data:`PEAK_ELD`, 1, is what the code
+        :data:`PEAK_8_BIT`, 255, is used by the paper and for 8-bit video; :data:`PEAK_ELD`, 1, is what the code
         released with the ELD paper does for raw clips. Scores at two scales do not compare.
     threads
         Number of threads, by default one per CPU; the result is the same to the bit for any number.
@@ -170,15 +170,15 @@ def st_rred(
 
     def work(where: tuple[int, int]) -> _Band:
         clip, frame = where
-        return _band(clips[clip][0][frame], f"frame {frame} of {clips[clip][1]}", peak / data_range)
+        return _compute_band(clips[clip][0][frame], f"frame {frame} of {clips[clip][1]}", peak / data_range)
 
     # Of every frame only its band is kept, a 64th of its values.
     wanted = [(clip, frame) for first in pairs for clip in (0, 1) for frame in (first, first + 1)]
     bands = dict(zip(wanted, in_threads(work, wanted, threads), strict=True))
     scores = [
         _compare(
-            _information(bands[0, first], bands[0, first + 1]),
-            _information(bands[1, first], bands[1, first + 1]),
+            _compute_information(bands[0, first], bands[0, first + 1]),
+            _compute_information(bands[1, first], bands[1, first + 1]),
         )
         for first in pairs
     ]
@@ -186,7 +186,7 @@ def st_rred(
 
 
 def raw_to_grey(image: Image) -> Plane:
-    """Reduce a frame to the grey image of which the released code of the ELD paper takes the ST-RRED of a raw clip.
+    """Reduce a raw frame to grey, as the released code of the ELD paper does for ST-RRED.
 
     ``0.2989 R + 0.5870 G + 0.1140 B``, the luma weights of 8-bit video as scikit-video rounds them (they add up to
     0.9999), on linear values without white balance; in packed Bayer G is the mean of G1 and G2. That is not the
@@ -219,7 +219,7 @@ def raw_to_grey(image: Image) -> Plane:
         red, green_1, blue, green_2 = channels
         channels = [red, (green_1 + green_2) / 2, blue]
     if len(channels) != 3:
-        raise ArgumentError(_channels_message(f"the image of shape {array.shape}", len(channels)))
+        raise ArgumentError(_describe_channels(f"the image of shape {array.shape}", len(channels)))
     grey = np.zeros_like(channels[0])
     for weight, channel in zip(_RGB_WEIGHTS, channels, strict=True):
         grey += weight * channel
@@ -230,7 +230,7 @@ def raw_to_grey(image: Image) -> Plane:
 _Band: TypeAlias = tuple[Plane, float]
 
 
-def _band(frame: Image, name: str, scale: float) -> _Band:
+def _compute_band(frame: Image, name: str, scale: float) -> _Band:
     grey = raw_to_grey(frame)
     size = max(abs(float(grey.min())), abs(float(grey.max())))  # NaN comes through min and max
     if not math.isfinite(size):
@@ -238,7 +238,7 @@ def _band(frame: Image, name: str, scale: float) -> _Band:
     return coarse_band(grey) * scale, size * scale
 
 
-def _information(first: _Band, second: _Band) -> tuple[Plane, Plane]:
+def _compute_information(first: _Band, second: _Band) -> tuple[Plane, Plane]:
     """Compute the scaled entropies of each block of a pair of frames: spatial, temporal."""
     scale, entropy = _scale_and_entropy(*first)
     scale_of_difference, entropy_of_difference = _scale_and_entropy(first[0] - second[0], max(first[1], second[1]))
@@ -279,7 +279,7 @@ def _check_clip(clip: Clip, name: str) -> None:
             f"{name} has {counted(shape[0], 'frame')}, of shape {shape}: ST-RRED compares frames in pairs"
         )
     if len(shape) == 4 and shape[1] not in {1, 3, 4}:
-        raise ArgumentError(_channels_message(f"{name} of shape {shape}", shape[1]))
+        raise ArgumentError(_describe_channels(f"{name} of shape {shape}", shape[1]))
     if min(shape[-2:]) < _SMALLEST:
         raise ArgumentError(
             f"{name} of shape {shape} is too small: ST-RRED works at an eighth of the size and needs at least "
@@ -288,7 +288,7 @@ def _check_clip(clip: Clip, name: str) -> None:
     host_array(clip[0], name)  # speaks of the clip, where a frame's own check would speak of an image
 
 
-def _channels_message(what: str, channels: int) -> str:
+def _describe_channels(what: str, channels: int) -> str:
     return (
         f"{what} has {channels} channels: reduced to grey are packed Bayer R, G1, B, G2 (4), RGB (3) and grey (1); "
         "for others pass a grey clip (T, H, W) of your own making"
@@ -313,14 +313,14 @@ def _mean(values: tuple[float, ...]) -> float:
 _HALVINGS = 3  # how often the image is halved before the band is taken
 
 
-def _mirrored(quadrant: Sequence[Sequence[float]]) -> Plane:
+def _complete_filter(quadrant: Sequence[Sequence[float]]) -> Plane:
     """Complete a filter from its lower right quadrant, the centre included."""
     taps = np.asarray(quadrant)
     radius = len(taps) - 1
     return np.pad(taps, ((radius, 0), (radius, 0)), "reflect")
 
 
-_FIRST_LOW_PASS = _mirrored(
+_FIRST_LOW_PASS = _complete_filter(
     [
         [0.40304148, 0.15925570, -0.03848215],
         [0.15925570, 0.05586982, -0.01551246],
@@ -328,7 +328,7 @@ _FIRST_LOW_PASS = _mirrored(
     ]
 )
 # Twice the taps of a low pass that keeps the mean: each halving doubles the signal, as the published filter does.
-_LOW_PASS = 2.0 * _mirrored(
+_LOW_PASS = 2.0 * _complete_filter(
     [
         [0.10096540, 0.08169618, 0.03981393, 0.01002988, -0.00962054],
         [0.08169618, 0.06426333, 0.03277038, 0.00410600, -0.00944432],
@@ -368,13 +368,13 @@ def coarse_band(image: Plane) -> Plane:
         residue and level 1 the oriented bands at full size, each later level half of the one before. Edges are
         mirrored without repeating the edge pixel.
     """
-    plane = _halved(image, _BOTH_LOW_PASSES)
+    plane = _halve(image, _BOTH_LOW_PASSES)
     for _ in range(_HALVINGS - 1):
-        plane = _halved(plane, _LOW_PASS)
+        plane = _halve(plane, _LOW_PASS)
     return ndimage.correlate(plane, _BAND, mode="mirror")
 
 
-def _halved(image: Plane, taps: Plane) -> Plane:
+def _halve(image: Plane, taps: Plane) -> Plane:
     """Filter, then keep every other row and column, from the first."""
     radius = len(taps) // 2
     padded = np.pad(image, radius, "reflect")

@@ -29,28 +29,28 @@ if TYPE_CHECKING:
 _CONTENT = TextFile(Path(__file__).parent / "shipped.toml", ArgumentError).toml().data
 
 
-def _shipped(content: Mapping[str, Any]) -> dict[str, Protocol]:
+def _read_shipped(content: Mapping[str, Any]) -> dict[str, Protocol]:
     texts: dict[str, str] = {}
     for name, text in content["texts"].items():
         texts[name] = text.strip().format_map(texts)
     made: dict[str, Protocol] = {}
     for kind, protocol in (("images", Protocol), ("clips", ClipProtocol)):
         for name, stated in content[kind].items():
-            fields = {"name": name} | {field: _value(value, texts) for field, value in stated.items()}
+            fields = {"name": name} | {field: _convert_value(value, texts) for field, value in stated.items()}
             base = fields.pop("base", None)
             made[name] = protocol(**fields) if base is None else replace(made[base], **fields)
     return made
 
 
-def _value(value: Any, texts: dict[str, str]) -> Any:
+def _convert_value(value: Any, texts: dict[str, str]) -> Any:
     """Convert a field to what a protocol holds: lists as tuples, texts put in, no text at all as ``None``."""
     if isinstance(value, list):
         return tuple(value)
     return value.strip().format_map(texts) or None if isinstance(value, str) else value
 
 
-PROTOCOLS: dict[str, Protocol] = _shipped(_CONTENT)
-"""Those of images and those of clips, by name."""
+PROTOCOLS: dict[str, Protocol] = _read_shipped(_CONTENT)
+"""Protocols of images and of clips, by name."""
 
 FAMILIES: tuple[str, ...] = tuple(dict.fromkeys(p.family for p in PROTOCOLS.values() if p.family))
 """Names that stand for one protocol per dataset."""
@@ -124,7 +124,7 @@ def members_of(family: str) -> tuple[Protocol, ...]:
 
 
 def default_protocol(card: Card) -> Protocol:
-    """Return the protocol that scores a set unless another is named: the one that its card names.
+    """Find the protocol that a set's card names, which scores it unless another is named.
 
     Raises
     ------
@@ -150,8 +150,8 @@ def protocols_for(dataset: str) -> tuple[Protocol, ...]:
     """List the protocols that were made for a dataset.
 
     A set of no known name has its own pairs, so it gets one protocol of images of each way to score, the first of the
-    shipped ones. Levels that are those of one camera, whatever the file states, are not a way to score
-    another, nor is cutting down to whole DN, of which a set may hold none, nor SSIM of grey blocks.
+    shipped ones. One camera's levels, whatever the file states, are not a way to score another, nor is cutting down to
+    whole DN, of which a set may hold none, nor SSIM of grey blocks.
 
     Examples
     --------
@@ -201,7 +201,7 @@ def load_protocol(path: Path | str) -> Protocol:
     for name in (_BASE, "name", "title"):
         if name not in top.data:
             raise top.problem(name, "is missing; a protocol needs base, name and title")
-    values = {name: _response_in(top, path.parent) if name == "response" else _field_of(top, name) for name in top.data}
+    values = {name: _read_field(top, name, path.parent) for name in top.data}
     base = values.pop(_BASE)
     name = values["name"]
     if name in PROTOCOLS or name in FAMILIES:
@@ -219,12 +219,12 @@ def load_protocol(path: Path | str) -> Protocol:
     return made
 
 
-def _ratio(top: Fields, name: str) -> Any:
+def _read_ratio(top: Fields, name: str) -> Any:
     top.number(name, above=0)
     return top.value(name)  # whole where it is: the digest tells 100 from 100.0
 
 
-def _response_in(top: Fields, folder: Path) -> str:
+def _read_response(top: Fields, folder: Path) -> str:
     """Read the response that a file states, with the points of the curve in the files that it names."""
     from eldata.isp.response import read_response_table
 
@@ -236,8 +236,10 @@ def _response_in(top: Fields, folder: Path) -> str:
     return read_response_table(folder / stated.text("table")).text
 
 
-def _field_of(top: Fields, name: str) -> Any:
+def _read_field(top: Fields, name: str, folder: Path) -> Any:
     """Read a field's value as :class:`Protocol` has it."""
+    if name == "response":
+        return _read_response(top, folder)
     if name == _BASE:
         return top.choice(name, tuple(PROTOCOLS))
     if name in CHOICES:
@@ -245,7 +247,7 @@ def _field_of(top: Fields, name: str) -> Any:
     if name == "mse_offset":
         return top.number(name)
     if name == "ratios":
-        return top.each(name, _ratio, expected="a list of positive numbers, such as [100, 200]; [] for all")
+        return top.each(name, _read_ratio, expected="a list of positive numbers, such as [100, 200]; [] for all")
     if name in _LISTS_OF_TEXT:
         return top.texts(name, expected="a list of names; [] for all", empty=True)
     if name == "subset":

@@ -54,14 +54,14 @@ _DIGEST = re.compile("sha256:[0-9a-f]{64}")
 _REGION = re.compile(r"full|(centre|border)-([1-9][0-9]{0,4})")
 
 
-class _Described(ABC):
+class _Describable(ABC):
     """What says of itself in fields how something was scored: in a line, and in a notebook."""
 
     __slots__ = ()
 
     @abstractmethod
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields as plain types."""
+        """List the fields as plain types."""
 
     @property
     def digest(self) -> str:
@@ -73,18 +73,18 @@ class _Described(ABC):
         return f"{type(self).__name__}({name!r}, {title!r}, {self.digest[:15]})"
 
     def _repr_html_(self) -> str:
-        stated = [(name, _shown(value)) for name, value in self.as_dict().items() if value not in ("", [], None)]
+        stated = [(name, _format_value(value)) for name, value in self.as_dict().items() if value not in ("", [], None)]
         return block(f"Protocol {self.as_dict()['name']}", table((), [*stated, ("digest", self.digest)], left=(0, 1)))
 
 
-def _shown(value: Any) -> str:
-    """Return a field's value as text; of a curve's points the first."""
+def _format_value(value: Any) -> str:
+    """Format a field's value; of a curve's points the first."""
     text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
     return text if not text.startswith("curve ") else f"{text[:60]} ..."
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Protocol(_Described):
+class Protocol(_Describable):
     """Everything that a score of an image depends on besides the pixels.
 
     Attributes
@@ -126,9 +126,8 @@ class Protocol(_Described):
     cameras, scenes
         Cameras and scenes of the pairs that are scored; empty means all.
     input_clip, amplification
-        Clip of the input before and after it is multiplied by the ratio, and which ratio: ``metadata``, the files',
-        ``nominal``, the manifest's, or ``measured``, which ``capture check --write`` puts into the manifest. They
-        matter where predictions are made, and for the score of the input itself.
+        Clip of the input before and after it is multiplied by the ratio, and which ratio: ``metadata``, the files', or
+        ``nominal``, the manifest's. They matter where predictions are made, and for the score of the input itself.
     dark_shading
         The digest of the dark shading (:class:`eldata.noise.DarkShading`) that was taken off the input; ``none``.
         An evaluation fills it in (``--dark-shading``).
@@ -141,7 +140,7 @@ class Protocol(_Described):
         What a network gets and what it makes, ``raw`` or ``srgb``: the paper's Raw2Raw, Raw2RGB and RGB2RGB (section
         4.5). A prediction in ``srgb`` is (3, h, w), a pixel for each packed one, rescaled
         and compared as it is; an input in ``srgb`` is the amplified frame, rendered in 8 bits with the white balance
-        and matrix of its own file. The score of the input itself is that of such a rendering in either case.
+        and matrix of its own file. The input itself is scored as such a rendering in either case.
     response
         The curve of ``eld-isp``: ``gamma-2.2`` or of another exponent, or all points of a measured one
         (:attr:`eldata.isp.ResponseCurve.text`), which a file of one's own names instead
@@ -243,11 +242,11 @@ class Protocol(_Described):
         return "metadata" if self.levels == "metadata-per-channel" else self.levels
 
     def covers(self, dataset: str) -> bool:
-        """Say whether it is for a dataset of this name."""
+        """Whether it scores a dataset of this name."""
         return self.dataset in (ANY_DATASET, dataset) or dataset.startswith(f"{self.dataset}-")
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields as plain types, with the definitions of PSNR and SSIM that follow from them."""
+        """List the fields as plain types, with the definitions of PSNR and SSIM that follow from them."""
         plain = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
         made = "srgb" if self.pixels == "srgb" else self.prediction_space  # LibRaw's rendering takes no other
         return plain | {"prediction_space": made, "psnr": self.psnr, "ssim": self.ssim}
@@ -334,7 +333,7 @@ def _kind_and_size(field: str, region: str) -> tuple[str, int]:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class StatedProtocol(_Described):
+class StatedProtocol(_Describable):
     """A protocol as a saved result states it, in the fields that the version which wrote it had.
 
     Attributes
@@ -366,7 +365,7 @@ class StatedProtocol(_Described):
         return "rgb" if self.fields.get("pixels") == "rgb" else "packed"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return its fields."""
+        """List its fields."""
         return self.fields
 
 
@@ -405,7 +404,7 @@ def canonical(stated: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Plain types: numbers are floats, lists are sorted. ``version`` is that of this list.
+        Plain types: numbers are floats, lists are sorted. ``version`` counts changes of this list.
     """
     values = {name: _to_plain(value) for name, value in stated.items() if name not in _PROSE}
     if values.get("rescaling") == "none" or values.get("rescaling_region") == values.get("region"):
@@ -509,7 +508,7 @@ class ClipProtocol(Protocol):
         return "of the grey frames after rescaling, frames in pairs 0-1, 2-3, as scikit-video 1.1.11 has it"
 
     def covers(self, dataset: str) -> bool:
-        """Say whether it is for a dataset of this name."""
+        """Whether it scores a dataset of this name."""
         return self.dataset == dataset != OWN_SEQUENCES
 
     def as_dict(self) -> dict[str, Any]:

@@ -40,29 +40,26 @@ _PLANES = {"packed": "each packed channel", "mosaic": "the mosaic"}
 _RENDERINGS = {"none": "none", "libraw": "LibRaw's", "eld-isp": "the ELD paper's pipeline"}
 _SPACES = {"raw": "packed raw", "srgb": "sRGB"}
 _PIXELS = {"packed": "packed raw", "rgb": "preprocessed RGB"}
-_AMPLIFICATIONS = {
-    "metadata": "by the files' exposure ratio",
-    "nominal": "by the manifest's ratio",
-}
+_AMPLIFICATIONS = {"metadata": "by the files' exposure ratio", "nominal": "by the manifest's ratio"}
 
 
-def _listed(values: Any) -> str:
+def _join(values: Any) -> str:
     return ", ".join(map(str, values)) if values else "all"
 
 
-def _ratios(values: Any) -> str:
+def _join_ratios(values: Any) -> str:
     return ", ".join(f"x{value:g}" for value in values) if values else "all"
 
 
 def region_words(region: str) -> str:
-    """Return a region in words."""
+    """Describe a region."""
     kind, _, size = region.partition("-")
     words = {"centre": f"packed centre {size} x {size}", "border": f"all but {size} packed pixels at each edge"}
     return {"full": "full frame", **words}.get(kind, region)
 
 
-def _response_words(value: str) -> str:
-    """Return a curve in words; of a measured one its digest and the number of its points."""
+def _shorten_response(value: str) -> str:
+    """Describe a curve; a measured one by its digest and the number of its points."""
     if not value.startswith("curve "):
         return value.replace("-", " ")
     digest, points = sha256(value.encode()).hexdigest()[:8], len(value.partition(";")[0].split()) - 1
@@ -73,9 +70,9 @@ def _response_words(value: str) -> str:
 FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "dataset": ("dataset", str),
     "subset": ("subset", lambda value: value or "as chosen, else the card's first"),
-    "ratios": ("factors", _ratios),
-    "cameras": ("cameras", _listed),
-    "scenes": ("scenes", _listed),
+    "ratios": ("factors", _join_ratios),
+    "cameras": ("cameras", _join),
+    "scenes": ("scenes", _join),
     "pixels": ("pixels", lambda value: _PIXELS[value]),
     "frames": ("frames", lambda value: {"evaluation": "the fifth to the ninth"}[value]),
     "frame_count": ("frames of a clip", lambda value: str(value or "all")),
@@ -83,7 +80,7 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "input_space": ("network's input", lambda value: _SPACES[value]),
     "prediction_space": ("predictions", lambda value: _SPACES[value]),
     "rendering": ("rendering", lambda value: _RENDERINGS[value]),
-    "response": ("response curve", _response_words),
+    "response": ("response curve", _shorten_response),
     "levels": ("levels", lambda value: LEVELS[value]),
     "reference_clip": ("reference's clip", lambda value: CLIPS[value]),
     "reference": ("reference", str),
@@ -108,7 +105,7 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
 
 
 def in_words(field: str, value: Any) -> str:
-    """Return a field's value in words; a value that this version does not know, as it stands."""
+    """Describe a field's value; one that this version does not know stays as it is."""
     if field not in FIELDS:
         return str(value)
     try:
@@ -118,7 +115,7 @@ def in_words(field: str, value: Any) -> str:
 
 
 def described(protocol: Protocol) -> list[tuple[str, str]]:
-    """Return a protocol's fields, in words, in the order of an evaluation; those that play no part are left out."""
+    """Describe a protocol's fields in the order of an evaluation; fields that play no part are left out."""
     values = protocol.as_dict()
     skipped = {"ssim_window", "ssim_covariance", "ssim_planes", "mse_offset"}  # PSNR and SSIM say them
     if protocol.rescaling == "none":
@@ -146,31 +143,31 @@ HEADER = ("protocol", "dataset", "pairs", "unlike eld")
 
 def summary(protocol: Protocol, eld: Protocol) -> tuple[str, ...]:
     """Make a protocol's cells of such a list; the last names its differences from the paper's."""
-    own, usual = _distinguished(protocol), _distinguished(eld)
+    own, usual = _summarise(protocol), _summarise(eld)
     unlike = "; ".join(f"{name} {cell}" for name, cell in own.items() if cell != usual[name])
-    return protocol.name, protocol.dataset, _pairs(protocol), unlike
+    return protocol.name, protocol.dataset, _summarise_pairs(protocol), unlike
 
 
-def _pairs(protocol: Protocol) -> str:
+def _summarise_pairs(protocol: Protocol) -> str:
     if protocol.kind is not IMAGES:
         return f"{protocol.as_dict()['frame_count'] or 'all'} frames per clip"
-    pairs = [protocol.subset or "", _scenes(protocol.scenes), ", ".join(protocol.cameras)]
+    pairs = [protocol.subset or "", _summarise_scenes(protocol.scenes), ", ".join(protocol.cameras)]
     if protocol.subset is None:
         pairs.insert(0, " ".join(f"x{ratio:g}" for ratio in protocol.ratios) or "all factors")
     return ", ".join(part for part in pairs if part)
 
 
-def _distinguished(protocol: Protocol) -> dict[str, str]:
+def _summarise(protocol: Protocol) -> dict[str, str]:
     """Summarise what distinguishes protocols from one another."""
     levels = {"published": "16383", "metadata": "file", "metadata-per-channel": "file, channel"}
     levels |= {"sid-sony": "16383, black 512", "sid-fuji": "16383, black 1024", "lrid": "1023, black 64"}
-    scalar = "yes" if protocol.factor_region == protocol.region else f"from {_region(protocol.factor_region)}"
+    scalar = "yes" if protocol.factor_region == protocol.region else f"from {_shorten_region(protocol.factor_region)}"
     space = {"raw": "raw", "srgb": "sRGB, 8 bit" if protocol.rounding != "none" else "sRGB"}[protocol.space]
     if protocol.prediction_space == "srgb":
         space += f" from {'sRGB' if protocol.input_space == 'srgb' else 'raw'}"
     windows = {"uniform-7": "7x7", "gaussian-11": "Gauss 11", "gaussian-11-volume": "Gauss 11, RGB"}
     return {
-        "region": _region(protocol.region),
+        "region": _shorten_region(protocol.region),
         "white": levels[protocol.levels] if protocol.is_of_packed else {"srgb": "LibRaw"}.get(protocol.pixels, "none"),
         "scalar": scalar if protocol.rescaling == "scalar" else "no",
         "input clip": protocol.input_clip,
@@ -179,12 +176,12 @@ def _distinguished(protocol: Protocol) -> dict[str, str]:
     }
 
 
-def _region(region: str) -> str:
+def _shorten_region(region: str) -> str:
     kind, _, size = region.partition("-")
     return {"centre": f"centre {size}", "border": f"{size} px off"}.get(kind, region)
 
 
-def _scenes(scenes: tuple[str, ...]) -> str:
+def _summarise_scenes(scenes: tuple[str, ...]) -> str:
     if not scenes:
         return ""
     numbers = [name.removeprefix("scene-") for name in scenes]
@@ -227,26 +224,26 @@ def comparability(
     """
     a, b = canonical(first), canonical(second)
     names = [name for name in dict.fromkeys((*FIELDS, *a, *b)) if name not in ignored and a.get(name) != b.get(name)]
-    regions = [_factor_region(fields) for fields in (first, second)]
+    regions = [_find_factor_region(fields) for fields in (first, second)]
     if "rescaling" in names or regions[0] == regions[1]:  # where a factor is found says nothing against no factor
         names = [name for name in names if name != "rescaling_region"]
     stated = [{**fields, "rescaling_region": region} for fields, region in zip((first, second), regions, strict=True)]
     return [
         f"{FIELDS[name][0] if name in FIELDS else name.replace('_', ' ')}: "
-        + " against ".join(_words(fields, name) for fields in stated)
+        + " against ".join(_format_value(fields, name) for fields in stated)
         for name in names
-        if not any(all(_value(fields, name) in choices.get(name, ()) for fields in stated) for choices in equal)
+        if not any(all(_find_value(fields, name) in choices.get(name, ()) for fields in stated) for choices in equal)
     ]
 
 
-def _factor_region(protocol: Mapping[str, Any]) -> Any:
-    region = _value(protocol, "rescaling_region")
+def _find_factor_region(protocol: Mapping[str, Any]) -> Any:
+    region = _find_value(protocol, "rescaling_region")
     return protocol.get("region") if region == SCORED else region
 
 
-def _value(protocol: Mapping[str, Any], name: str) -> Any:
+def _find_value(protocol: Mapping[str, Any], name: str) -> Any:
     return protocol.get(name, NEUTRAL.get(name))
 
 
-def _words(protocol: Mapping[str, Any], name: str) -> str:
-    return in_words(name, _value(protocol, name)) if name in (*protocol, *NEUTRAL) else "not stated"
+def _format_value(protocol: Mapping[str, Any], name: str) -> str:
+    return in_words(name, _find_value(protocol, name)) if name in (*protocol, *NEUTRAL) else "not stated"

@@ -21,10 +21,7 @@ if TYPE_CHECKING:
 
     from eldata.records import Matrix3
 
-Neutral = tuple[Fraction, Fraction, Fraction]
-Multipliers = tuple[Fraction, Fraction, Fraction, Fraction]
-
-# Temperatures of the sources of light, as EXIF numbers them: CIE's, and those of the DNG SDK for the others.
+# Temperatures of the sources of light, as EXIF numbers them: CIE's, and the DNG SDK's for the others.
 _KELVIN = {17: 2850, 3: 2850, 24: 3200, 23: 5000, **dict.fromkeys((20, 1, 4, 9, 18), 5500)}
 _KELVIN |= {**dict.fromkeys((21, 10, 19), 6500), **dict.fromkeys((22, 11), 7500)}
 _KELVIN |= {2: 4150, 12: 6400, 13: 5050, 14: 4150, 15: 3525, 16: 2925}  # fluorescent lamps
@@ -63,8 +60,8 @@ def camera_to_srgb(xyz_to_camera: Matrix3) -> NDArray[np.float64]:
 # --- white balance ----------------------------------------------------------------------------------------------------
 
 
-def neutral_of(white_balance: Multipliers) -> Neutral:
-    """AsShotNeutral, green 1, for the multipliers of R, G1, B, G2, of which the last has no place in it.
+def neutral_of(white_balance: Sequence[Fraction]) -> tuple[Fraction, ...]:
+    """Compute AsShotNeutral, green 1, from the multipliers of R, G1, B, G2; a DNG has no place for the last.
 
     Fractions whose parts do not fit 32 bits are rounded.
 
@@ -80,12 +77,6 @@ def neutral_of(white_balance: Multipliers) -> Neutral:
     if not all(1 <= RATIONAL * value <= RATIONAL**2 for value in (red, blue)):
         raise ArgumentError(f"white_balance ({shown}): expected multipliers within 32 bits of green's")
     return round_fraction(1 / red, RATIONAL), Fraction(1), round_fraction(1 / blue, RATIONAL)
-
-
-def white_balance_of(neutral: Neutral) -> Multipliers:
-    """Multipliers of R, G1, B, G2 from AsShotNeutral, all above 0."""
-    red, green, blue = neutral
-    return green / red, Fraction(1), green / blue, Fraction(1)
 
 
 def neutral_of_white(

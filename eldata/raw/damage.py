@@ -1,7 +1,7 @@
 """Damage that decodes: files whose bytes were lost or overwritten, and which LibRaw nevertheless reads as whole frames.
 
-A download into a file of the final size that breaks off, a power loss or a bad card leave pages of 0x00 or 0xFF in
-place of data. Such long runs no photograph shows:
+A download into a file of the final size that breaks off, a power loss or a bad card leave pages of 0x00 or 0xFF instead
+of data. No photograph shows such long runs:
 
 in the file's image data (:func:`data_fault`)
     Compressed data have none, unless zero bits stand for "no difference" and an area is clipped.
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from eldata.errors import RawFileError
-from eldata.raw.tiff import UNCOMPRESSED
+from eldata.raw import tiff
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -35,7 +35,6 @@ _AGAIN = "copy or download it again"
 # A sector of a disk, the least that a disk loses, and the same number of pixels. A page in memory has 4096 bytes: at
 # least 2048 pixels.
 _LEAST_RUN = 512
-_JPEG = 7
 # In none of LibRaw's codes for it do zero bits stand for equal neighbours.
 _NIKON = 34713
 _BITS = 8  # of a byte: each sample takes at least one
@@ -70,7 +69,7 @@ def check_damage(
     black_dn, white_dn
         Black levels and white level in DN.
     """
-    rows = _between_zeros(mosaic) if min(black_dn) > 0 else slice(0, len(mosaic))
+    rows = _find_rows_between_zeros(mosaic) if min(black_dn) > 0 else slice(0, len(mosaic))
     fault = mosaic_fault(mosaic, black_dn, white_dn) or lost_rows_fault(directories, rows, len(mosaic))
     fault = fault or data_fault(path, directories, mosaic, rows)
     if fault is not None:
@@ -83,7 +82,7 @@ def check_samples(path: Path, directories: Sequence[Directory]) -> None:
     LibRaw decodes as many as are declared, whatever the image's size: 18 kB took it half a minute. Reads headers alone.
     """
     with path.open("rb") as file:
-        for _, offset, count in _compressed(path, directories):
+        for _, offset, count in _iter_compressed(path, directories):
             file.seek(offset)
             try:
                 stream = find_stream(file.read(min(count, _HEADER)))
@@ -152,11 +151,11 @@ def _first_symbols(tables: bytes) -> dict[int, int]:
     return first
 
 
-def _compressed(path: Path, directories: Sequence[Directory]) -> Iterator[tuple[Directory, int, int]]:
+def _iter_compressed(path: Path, directories: Sequence[Directory]) -> Iterator[tuple[Directory, int, int]]:
     """Yield directory, offset and length of each strip or tile of compressed data, of previews too."""
     left = _MOST_SHARED * path.stat().st_size
     for directory in directories:
-        for offset, count in directory.extents if directory.compression != UNCOMPRESSED else ():
+        for offset, count in directory.extents if directory.compression != tiff.UNCOMPRESSED else ():
             if min(offset, count) < 0:  # a preview's: of the raw image it is refused before
                 continue
             left -= count
@@ -172,11 +171,10 @@ def _damaged_header(path: Path, offset: int, what: str) -> RawFileError:
 def data_fault(
     path: Path, directories: Sequence[Directory], mosaic: NDArray[Any], rows: slice = slice(None)
 ) -> str | None:
-    """Say what shows in the compressed data of a TIFF-based file that some were lost; None if nothing does.
+    """Describe what shows that some compressed data of a TIFF-based file were lost; None if nothing does.
 
     ``mosaic``: (H, W) uint16 as decoded: whether it has clipped areas decides what its data may look like. ``rows``:
-    those between a border's rows of zeros, which lost data decode to, but for those of a lossless JPEG: they go on with
-    the value before them.
+    within a border's rows of zeros. Lost data decode to zeros; in a lossless JPEG they repeat the value before them.
 
     Raises
     ------
@@ -186,7 +184,7 @@ def data_fault(
     # What says that it is compressed and is as large as if it were not, is not.
     small = [directory for directory in directories if not directory.held >= 2 * directory.pixels > 0]
     with path.open("rb") as file:
-        for directory, offset, count in _compressed(path, small):
+        for directory, offset, count in _iter_compressed(path, small):
             file.seek(offset)
             content = np.frombuffer(file.read(count), np.uint8)
             try:
@@ -195,7 +193,7 @@ def data_fault(
                 if directory.is_mosaic:
                     raise _damaged_header(path, offset, str(error)) from error
                 continue  # a preview
-            if directory.is_mosaic and directory.compression == _JPEG and content[: len(_SOI)].tobytes() != _SOI:
+            if directory.is_mosaic and directory.compression == tiff.JPEG and content[: len(_SOI)].tobytes() != _SOI:
                 raise _damaged_header(path, offset, "does not begin as a JPEG")
             # CR2 does not say which of its images is the mosaic; no preview is a lossless JPEG.
             if not directory.is_mosaic and stream is None:
@@ -222,7 +220,7 @@ def _lost_run(codes: NDArray[np.uint8]) -> tuple[int, int] | None:
 
 
 def _has_flat_area(mosaic: NDArray[Any]) -> bool:
-    """Whether pixels in a row equal those of their colour beside or above them."""
+    """Whether many pixels in a row equal the nearest of their colour, to the left or above."""
     for alike in (mosaic[:, 2:] == mosaic[:, :-2], mosaic[2:] == mosaic[:-2]):
         whole = alike[:, : alike.shape[1] // _FLAT * _FLAT].reshape(len(alike), -1, _FLAT)
         if whole.all(axis=2).any():
@@ -259,18 +257,18 @@ def picture_area(mosaic: NDArray[Any]) -> tuple[slice, slice]:
     """Find the rows and columns of a mosaic (H, W) within a border whose rows and columns are each of one value.
 
     No border are an edge that is saturated, or clipped at black, and noise too faint to change the DN: there the next
-    row or column has the same value in most of its pixels. Nor is what takes more than an eighth of a side.
+    row or column has the same value in most of its pixels. Nor is what takes an eighth of a side or more.
     """
-    rows = _inner(mosaic)
-    columns = _inner(mosaic[rows].T)
-    return _inner(mosaic[:, columns]), columns  # rows of another value than the columns that cross them
+    rows = _find_inner(mosaic)
+    columns = _find_inner(mosaic[rows].T)
+    return _find_inner(mosaic[:, columns]), columns  # rows of another value than the columns that cross them
 
 
-def _inner(lines: NDArray[Any]) -> slice:
-    return slice(_leading(lines), len(lines) - _leading(lines[::-1]))
+def _find_inner(lines: NDArray[Any]) -> slice:
+    return slice(_count_leading(lines), len(lines) - _count_leading(lines[::-1]))
 
 
-def _leading(lines: NDArray[Any]) -> int:
+def _count_leading(lines: NDArray[Any]) -> int:
     """Count the first lines that hold no picture."""
     count, most = 0, len(lines) // _MOST_BORDER
     while count < most and (lines[count] == lines[count][0]).all():
@@ -298,10 +296,10 @@ def border_remarks(mosaic: NDArray[Any]) -> tuple[str, ...]:
 
 
 def mosaic_fault(mosaic: NDArray[Any], black_dn: Sequence[float], white_dn: float) -> str | None:
-    """Say what no photograph can show, of a mosaic (H, W) in DN, and where; None if nothing is found."""
+    """Describe what no photograph can show in a mosaic (H, W) in DN, and where; None if nothing is found."""
     if min(black_dn) > 0:
         below = f"0 DN, below the black level {' '.join(f'{level:g}' for level in dict.fromkeys(black_dn))} DN"
-        rows, columns = _without_border(mosaic)
+        rows, columns = _find_picture(mosaic)
         inner = mosaic[rows, columns]
         if (run := long_run(inner.reshape(-1), 0)) is not None:
             row, column = divmod(run[0], inner.shape[1])
@@ -319,7 +317,7 @@ def mosaic_fault(mosaic: NDArray[Any], black_dn: Sequence[float], white_dn: floa
     return None
 
 
-def _without_border(mosaic: NDArray[Any]) -> tuple[slice, slice]:
+def _find_picture(mosaic: NDArray[Any]) -> tuple[slice, slice]:
     """Find the picture's area, and with it a single last row or last rows that begin before their first pixel.
 
     So end files whose last bytes were lost.
@@ -331,20 +329,20 @@ def _without_border(mosaic: NDArray[Any]) -> tuple[slice, slice]:
     return rows, columns
 
 
-def _between_zeros(mosaic: NDArray[Any]) -> slice:
-    """Find the rows between those of zeros that are a border."""
-    rows, _ = _without_border(mosaic)
+def _find_rows_between_zeros(mosaic: NDArray[Any]) -> slice:
+    """Find the rows within a border's rows of zeros."""
+    rows, _ = _find_picture(mosaic)
     return slice(0 if mosaic[0].any() else rows.start, len(mosaic) if mosaic[-1].any() else rows.stop)
 
 
 def lost_rows_fault(directories: Sequence[Directory], rows: slice, height: int) -> str | None:
-    """Say that the rows of zeros around these of an uncompressed mosaic begin or end with a sector of the disk.
+    """Describe rows of zeros at an uncompressed mosaic's edge that begin or end with a sector of the disk.
 
-    As those do that a disk or a download has lost; of a border's it is chance, but where all rows are whole sectors.
+    So do rows that a disk or a download has lost; a border's rows do so by chance, or where all rows are whole sectors.
     """
     for directory in directories:
         stored_height, extents = directory.shape[0], directory.extents
-        if not directory.is_mosaic or directory.compression != UNCOMPRESSED or not extents or stored_height <= 0:
+        if not directory.is_mosaic or directory.compression != tiff.UNCOMPRESSED or not extents or stored_height <= 0:
             continue
         row_bytes = directory.held // stored_height
         first = min(extents)[0] + directory.corner()[0] * row_bytes

@@ -35,7 +35,6 @@ Entry = tuple[int, str, "bytes | tuple[int, ...]"]
 """Tag, type (as struct names its numbers; ``s``: text, ``x``: undefined) and values, two for each fraction."""
 
 _KINDS = {"B": 1, "s": 2, "H": 3, "I": 4, "2I": 5, "x": 7, "2i": 10}
-_JPEG = 7
 _LEAST_SIDE = 22
 _LARGEST_DN = 65535
 
@@ -56,15 +55,15 @@ def _pack_directory(entries: Iterable[Entry], at: int) -> bytes:
     return table + bytes(4) + values
 
 
-def _text(tag: int, text: str) -> Entry:
+def _text_entry(tag: int, text: str) -> Entry:
     return tag, "s", text.encode() + b"\0"
 
 
-def _parts(values: Iterable[Fraction]) -> tuple[int, ...]:
+def _split_fractions(values: Iterable[Fraction]) -> tuple[int, ...]:
     return tuple(part for value in values for part in (value.numerator, value.denominator))
 
 
-def _exact(value: Fraction | float) -> Fraction:
+def _as_fraction(value: Fraction | float) -> Fraction:
     return value if isinstance(value, Fraction) else exact_fraction(value)
 
 
@@ -72,14 +71,14 @@ def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[Entry]:
     entries: list[Entry] = [(36864, "x", b"0232")]
     for tag, name in ((tiff.EXPOSURE_TIME, "exposure_s"), (tiff.F_NUMBER, "f_number")):
         if getattr(exposure, name) is not None:
-            value = _exact(getattr(exposure, name))
+            value = _as_fraction(getattr(exposure, name))
             if not 1 <= value * RATIONAL <= RATIONAL**2:
                 raise ArgumentError(
                     f"{name} = {value}: expected a number from 1 / (2^32 - 1) to 2^32 - 1, as EXIF holds"
                 )
-            entries.append((tag, "2I", _parts([round_fraction(value, RATIONAL)])))
+            entries.append((tag, "2I", _split_fractions([round_fraction(value, RATIONAL)])))
     if exposure.iso is not None:
-        iso = _exact(exposure.iso)
+        iso = _as_fraction(exposure.iso)
         if iso.denominator != 1 or not 0 < iso <= RATIONAL:
             raise ArgumentError(f"iso = {iso} is not a positive whole number of 32 bits")
         # ISOSpeedRatings has 16 bits; beyond them EXIF 2.3 states the speed as RecommendedExposureIndex.
@@ -87,8 +86,8 @@ def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[Entry]:
         entries += [(tiff.SENSITIVITY_TYPE, "H", (2,)), (tiff.EXPOSURE_INDEX, "I", (int(iso),))]
     if taken is not None:
         digits = f"{taken.microsecond:06d}"
-        entries.append(_text(tiff.TAKEN, taken.strftime("%Y:%m:%d %H:%M:%S")))
-        entries.append(_text(tiff.TAKEN_FRACTION, digits[:3] if digits.endswith("000") else digits))
+        entries.append(_text_entry(tiff.TAKEN, taken.strftime("%Y:%m:%d %H:%M:%S")))
+        entries.append(_text_entry(tiff.TAKEN_FRACTION, digits[:3] if digits.endswith("000") else digits))
     return entries
 
 
@@ -123,22 +122,21 @@ def _sensor_entries(sensor: Sensor) -> list[Entry]:
         (tiff.DNG_VERSION, "B", bytes((1, 4, 0, 0))),
         (50707, "B", bytes((1, 1, 0, 0))),  # DNGBackwardVersion
         (tiff.BLACK_REPEAT, "H", period),
-        (tiff.BLACK_LEVEL, "I", tuple(map(int, black))) if whole else (tiff.BLACK_LEVEL, "2I", _parts(black)),
+        (tiff.BLACK_LEVEL, "I", tuple(map(int, black))) if whole else (tiff.BLACK_LEVEL, "2I", _split_fractions(black)),
         (tiff.WHITE_LEVEL, "I", (int(sensor.white_level_dn),)),
     ]
     names = {tiff.MAKE: sensor.make, tiff.MODEL: sensor.model}
     names[tiff.UNIQUE_MODEL] = f"{sensor.make} {sensor.model}".strip()
-    entries += [_text(tag, name) for tag, name in names.items() if name]
+    entries += [_text_entry(tag, name) for tag, name in names.items() if name]
     if sensor.xyz_to_camera is not None:
         matrix = [round_fraction(exact_fraction(value), SRATIONAL) for row in sensor.xyz_to_camera for value in row]
         of_matrix, of_illuminant = tiff.COLOUR_MATRICES[0]
-        entries.append((of_matrix, "2i", _parts(matrix)))
+        entries.append((of_matrix, "2i", _split_fractions(matrix)))
         if sensor.matrix_illuminant:  # 0 is what stands for a tag that is not there
             entries.append((of_illuminant, "H", (sensor.matrix_illuminant,)))
     if sensor.white_balance is not None:
-        red, green, blue, second_green = map(exact_fraction, sensor.white_balance)
-        neutral = neutral_of((red, green, blue, second_green))
-        entries.append((tiff.AS_SHOT_NEUTRAL, "2I", _parts(neutral)))
+        neutral = neutral_of(list(map(exact_fraction, sensor.white_balance)))
+        entries.append((tiff.AS_SHOT_NEUTRAL, "2I", _split_fractions(neutral)))
     return entries
 
 
@@ -153,11 +151,11 @@ def write_dng(
 ) -> None:
     """Write a mosaic as a DNG, whole or not at all.
 
-    :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (a sensor without a matrix gets that of
-    LibRaw's table if LibRaw knows the model). Numbers are written as the fractions that they stand for
-    (:func:`eldata.records.exact_fraction`). One that the fields of TIFF, two whole numbers of 32 bits, cannot hold is
+    :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (for a sensor without a matrix LibRaw's,
+    if its table has the model). Numbers are written as the fractions that they stand for
+    (:func:`eldata.records.exact_fraction`). A number that does not fit TIFF's fields, two whole numbers of 32 bits, is
     rounded (:func:`eldata.raw.tiff.round_fraction`), off by less than one part in four billion (of matrices, which have
-    signs, two billion). A DNG has one white balance for both greens: that of G1.
+    signs, two billion). A DNG has one white balance for both greens: G1's.
 
     Parameters
     ----------
@@ -218,11 +216,11 @@ def _encode(
     def head(exif_at: int, pixels_at: int) -> bytes:
         image = {tiff.WIDTH: sensor.width, tiff.HEIGHT: sensor.height, tiff.ROWS_PER_STRIP: sensor.height}
         image |= {tiff.STRIPS[0]: pixels_at, tiff.STRIPS[1]: len(pixels), tiff.EXIF_IFD: exif_at}
-        short = {tiff.BITS: 16, tiff.COMPRESSION: _JPEG if compression == "lossless-jpeg" else tiff.UNCOMPRESSED}
+        short = {tiff.BITS: 16, tiff.COMPRESSION: tiff.JPEG if compression == "lossless-jpeg" else tiff.UNCOMPRESSED}
         short |= {tiff.PHOTOMETRIC: tiff.CFA_PHOTOMETRIC, tiff.SAMPLES: 1}
         entries = [(tag, "I", (value,)) for tag, value in image.items()]
         entries += [(tag, "H", (value,)) for tag, value in short.items()]
-        return b"II*\0" + struct.pack("<I", 8) + _pack_directory([*entries, *stated, _text(305, "eldata")], 8)
+        return b"II*\0" + struct.pack("<I", 8) + _pack_directory([*entries, *stated, _text_entry(305, "eldata")], 8)
 
     begin = len(head(0, 0))  # which stays as long
     end = begin + len(pixels)

@@ -28,7 +28,7 @@ RAW_EXTENSIONS = frozenset((
     ".mrw", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f",
 ))  # fmt: skip
 
-# Rendered pictures that cameras and phones write in place of a raw file, or beside it.
+# Rendered pictures that cameras and phones write instead of a raw file, or with it.
 PICTURES = frozenset((".jpg", ".jpeg", ".heic", ".heif", ".hif", ".webp", ".avif"))
 
 
@@ -48,7 +48,7 @@ def raws_below(folder: Path) -> list[Path]:
 
 
 def is_raw(path: Path | str) -> bool:
-    """Say whether a file's extension is a camera raw's."""
+    """Whether a file's extension is a camera raw's."""
     return Path(path).suffix.lower() in RAW_EXTENSIONS
 
 

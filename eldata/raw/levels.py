@@ -8,7 +8,7 @@ Bayer (2x2, any phase)
 X-Trans (6x6, any offset)
     (9, H/3, W/3) in the order of the SID code [1]_: R, G, B, R, B, G, G, G, G.
 Quad-Bayer (4x4: Bayer of 2x2 blocks, any offset)
-    (16, H/4, W/4): the sites of R's block row by row (R.00, R.01, R.10, R.11), then those of G1's, of B's, of G2's.
+    (16, H/4, W/4): the sites of R's block row by row (R.00, R.01, R.10, R.11), then of G1's, of B's, of G2's.
 Nona-Bayer (6x6: Bayer of 3x3 blocks, any offset)
     (36, H/6, W/6): likewise, nine sites a block.
 
@@ -193,17 +193,17 @@ def bayer_cfa(first: str = "RGGB", block: int = 1) -> CfaRows:
     Raises
     ------
     ArgumentError
-        If the colours are not those of a Bayer pattern, or the block is of another size.
+        If the colours are no Bayer pattern, or the block is of another size.
     """
     if block not in _BLOCK_NAMES:
         raise ArgumentError(f"block must be 1 (Bayer), 2 (quad-Bayer) or 3 (nona-Bayer); found {block!r}")
     check_choice("first", first, BAYER_PHASES)
-    return _in_blocks(BAYER_PHASES[first], block)
+    return _repeat_in_blocks(BAYER_PHASES[first], block)
 
 
 def cfa_of_letters(rows: Sequence[str]) -> CfaRows | None:
     """Find the CFA that has these colours (R, G, B), one period by row; None if it is unsupported."""
-    # Of a pattern that tells its greens apart, G1 is that of R's rows.
+    # A pattern that tells its greens apart has G1 in R's rows.
     two_greens = tuple(tuple({"R": 0, "B": 2}.get(c, 1 if "R" in row else 3) for c in row) for row in rows)
     one_green = tuple(tuple({"R": 0, "B": 2}.get(c, 1) for c in row) for row in rows)
     if set("".join(rows)) == set("RGB"):
@@ -213,7 +213,7 @@ def cfa_of_letters(rows: Sequence[str]) -> CfaRows | None:
     return None
 
 
-def _in_blocks(cfa: CfaRows, block: int) -> CfaRows:
+def _repeat_in_blocks(cfa: CfaRows, block: int) -> CfaRows:
     return tuple(tuple(index for index in row for _ in range(block)) for row in cfa for _ in range(block))
 
 
@@ -247,7 +247,7 @@ def _find_sites(cfa: CfaRows) -> Sites | None:
     period, block = len(cfa), len(cfa) // 2
     if block not in _BLOCK_NAMES or any(len(row) != period for row in cfa):
         return None
-    in_blocks = {_in_blocks(bayer, block) for bayer in BAYER_PHASES.values()}
+    in_blocks = {_repeat_in_blocks(bayer, block) for bayer in BAYER_PHASES.values()}
     for top, left in sorted(np.ndindex(period, period), key=sum):
         here = cfa_from(cfa, top, left)
         if here in in_blocks:
@@ -262,7 +262,7 @@ def _find_sites(cfa: CfaRows) -> Sites | None:
 def packed_layouts() -> dict[int, Sites]:
     """Find the sites of a CFA of each kind, by its number of packed channels, which tells them apart.
 
-    Of the phases of a kind, which change no channel's meaning, that which begins with R.
+    Each in the phase that begins with R: the phase changes no channel's meaning.
     """
     each = (bayer_cfa(), XTRANS_CFA, bayer_cfa(block=2), bayer_cfa(block=3))
     return {sites.channels: sites for sites in map(packing_sites, each)}
@@ -314,11 +314,11 @@ def packed_area(shape: tuple[int, int], cfa: Cfa) -> PackedArea:
     ArgumentError
         If the CFA is unsupported, or the mosaic does not hold one whole period.
     """
-    return _known_area(shape, packing_sites(cfa))
+    return _cached_area(shape, packing_sites(cfa))
 
 
 @lru_cache(maxsize=256)
-def _known_area(shape: tuple[int, int], sites: Sites) -> PackedArea:
+def _cached_area(shape: tuple[int, int], sites: Sites) -> PackedArea:
     height = (shape[0] - sites.top) // sites.period * sites.period
     width = (shape[1] - sites.left) // sites.period * sites.period
     if height <= 0 or width <= 0:
@@ -332,7 +332,7 @@ def _known_area(shape: tuple[int, int], sites: Sites) -> PackedArea:
 def packed_shape(shape: tuple[int, int], cfa: Cfa) -> tuple[int, int, int]:
     """Compute the packed shape (C, h, w) of a mosaic of ``shape`` (H, W)."""
     sites = packing_sites(cfa)
-    area = _known_area(shape, sites)
+    area = _cached_area(shape, sites)
     return sites.channels, area.height // sites.scale, area.width // sites.scale
 
 
@@ -340,7 +340,7 @@ def kept_area(mosaic: NDArray[Scalar], sites: Sites) -> NDArray[Scalar]:
     """Crop a mosaic (H, W) to what packing keeps, with rows that are contiguous in memory."""
     if mosaic.ndim != 2:
         raise ArgumentError(f"a mosaic has two dimensions (H, W); found shape {mosaic.shape}")
-    return with_rows(mosaic[_known_area(mosaic.shape, sites).slices])
+    return with_rows(mosaic[_cached_area(mosaic.shape, sites).slices])
 
 
 def with_rows(values: NDArray[Scalar]) -> NDArray[Scalar]:
@@ -348,7 +348,7 @@ def with_rows(values: NDArray[Scalar]) -> NDArray[Scalar]:
     return values if values.strides[-1] == values.itemsize else np.ascontiguousarray(values)
 
 
-def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = None) -> NDArray[Scalar]:
+def pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     """Split a mosaic by CFA position.
 
     Parameters
@@ -357,8 +357,6 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = Non
         (H, W), any dtype of 1, 2, 4 or 8 bytes.
     cfa
         The CFA of its pixel (0, 0), as :attr:`eldata.records.Sensor.cfa`.
-    out
-        Where to write, of the packed shape and the mosaic's dtype.
 
     Returns
     -------
@@ -368,7 +366,7 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = Non
     Raises
     ------
     ArgumentError
-        If the CFA is unsupported, the mosaic smaller than one period, or ``out`` does not fit.
+        If the CFA is unsupported, or the mosaic smaller than one period.
 
     Examples
     --------
@@ -385,11 +383,8 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = Non
 
     sites = packing_sites(cfa)
     area = kept_area(mosaic, sites)
-    shape = packed_shape(mosaic.shape, cfa)
-    packed = np.empty(shape, dtype=mosaic.dtype) if out is None else out
-    if packed.shape != shape or packed.dtype != mosaic.dtype:
-        raise ArgumentError(f"out must be {mosaic.dtype} of shape {shape}; found {packed.dtype} {packed.shape}")
-    if sites.period == 2 and with_rows(packed) is packed:
+    packed: NDArray[Scalar] = np.empty(packed_shape(mosaic.shape, cfa), dtype=mosaic.dtype)
+    if sites.period == 2:
         gather_bayer(_as_bits(area), _as_bits(packed), sites.channel_of)
     else:
         for in_mosaic, in_packed in sites.slices:
@@ -470,7 +465,7 @@ PUBLISHED_WHITE_LEVEL_DN = 16383.0
 
 # Black and white level that published code has for every file of a camera: the SID code (the same places), and for the
 # phone of LRID PMN's (branch TPAMI, data_process/phone_datasets.py). The ELD code takes the black level of a Bayer file
-# from the file, and that of X-Trans from here.
+# from the file, and for X-Trans from here.
 CAMERA_LEVELS_DN: dict[str, tuple[float, float]] = {
     "sid-sony": (512.0, PUBLISHED_WHITE_LEVEL_DN),
     "sid-fuji": (1024.0, PUBLISHED_WHITE_LEVEL_DN),
@@ -492,7 +487,7 @@ def mean_levels(sensor: Sensor) -> MeanLevels:
 
 
 def differ_in_white(levels: MeanLevels, reference: MeanLevels) -> bool:
-    """Say whether two files of a pair state two white levels of one DN scale, as Canon's do from ISO to ISO.
+    """Whether two files of a pair state different white levels on one DN scale, as Canon's do from ISO to ISO.
 
     Not so of shares of white, nor where the ranges are a power of two apart, as of files of 12 bits beside 14.
     """
@@ -545,7 +540,7 @@ def with_levels(sensor: Sensor, levels: FrameLevels, reference: Sensor | None = 
 
 
 def check_in_dn(name: str, sensor: Sensor, what: str) -> None:
-    """Refuse a file that holds shares of white, for what is in DN.
+    """Refuse a file that holds shares of white where DN are needed.
 
     Raises
     ------
@@ -570,7 +565,7 @@ def packed_frame(
 ) -> NDArray[np.float32]:
     """Pack and normalise a frame, (C, h, w) float32.
 
-    Arguments are those of :func:`pack_normalised`, and levels and reference as :func:`with_levels` has them.
+    Arguments as for :func:`pack_normalised`, and levels and reference as for :func:`with_levels`.
 
     Raises
     ------
@@ -590,7 +585,7 @@ def packed_frame(
 
 
 def packed_black_level_dn(cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[np.float32]:
-    """Black level of each packed channel, (C,) float32 in DN, from those of the CFA's channels.
+    """Black level of each packed channel, (C,) float32 in DN, from the levels of the CFA's channels.
 
     Raises
     ------
@@ -604,7 +599,7 @@ def packed_black_level_dn(cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[
 
 
 @lru_cache(maxsize=256)
-def _levels(sites: Sites, black_level_dn: tuple[float, ...], white_level_dn: float) -> tuple[Any, np.float32]:
+def _check_levels(sites: Sites, black_level_dn: tuple[float, ...], white_level_dn: float) -> tuple[Any, np.float32]:
     """Black level of each packed channel, read-only, and white level: frames share few of them."""
     black, white = packed_black_level_dn(sites.cfa, black_level_dn), np.float32(white_level_dn)
     if not np.all(np.isfinite(black)) or not np.isfinite(white) or not white > black.max():
@@ -672,7 +667,7 @@ def pack_normalised(
     if not 0 <= gain <= _LARGEST:
         raise ArgumentError(f"the gain must be finite and not negative; found {gain}")
     sites = packing_sites(cfa)
-    black, white = _levels(sites, tuple(black_level_dn), white_level_dn)
+    black, white = _check_levels(sites, tuple(black_level_dn), white_level_dn)
     if clip not in _CLIP_RANGES:
         check_choice("clip", clip, CLIP_RANGES)
     low, high = _CLIP_RANGES[clip]
@@ -715,7 +710,7 @@ def normalise(
     sites = packing_sites(cfa)
     if packed.ndim != 3 or packed.shape[0] != sites.channels:
         raise ArgumentError(f"expected packed data ({sites.channels}, h, w); found shape {packed.shape}")
-    levels, white = _levels(sites, tuple(black_level_dn), white_level_dn)
+    levels, white = _check_levels(sites, tuple(black_level_dn), white_level_dn)
     black = levels[:, None, None]
     normalised: NDArray[np.float32] = (packed.astype(np.float32) - black) / (white - black)
     return np.clip(normalised, *_CLIP_RANGES[clip])

@@ -4,7 +4,7 @@ Which figures are taken
 -----------------------
 mosaic
     LibRaw's visible area, copied; the file is closed before the function returns. What LibRaw decodes as other pixels
-    than are meant is refused (:mod:`eldata.raw.unsupported`).
+    than are meant is refused (:mod:`eldata.raw.container`).
 CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd. Of quad-Bayer and nona-Bayer the file's own tags: LibRaw
@@ -30,7 +30,7 @@ orientation
     Not applied: the mosaic stands as the sensor was read out, whichever way up the camera was held, so that two
     frames of a pair lie on each other.
 camera, ISO, exposure time, aperture
-    What the file states, exactly: EXIF, or what a format has in its place (:mod:`eldata.raw.container`). ``None``
+    What the file states, exactly: EXIF, or what a format has instead (:mod:`eldata.raw.container`). ``None``
     where it states none: LibRaw's figures are not taken, because it makes some up.
 
 What LibRaw does not notice
@@ -40,6 +40,11 @@ inside it, and the file must hold at least one bit per pixel (no lossless code i
 lost a part of their data, which are searched for what shows (:mod:`eldata.raw.damage`); only a recorded hash finds the
 rest (``eldata lock``).
 
+Fork and threads
+----------------
+Each read tells the OpenMP runtime inside rawpy's wheel to use the calling thread alone. So no thread pool is
+left behind for a forked worker to wait for, and reading is safe in DataLoader workers under fork and spawn.
+
 Remarks
 -------
 A remark is a sentence that says what was, or was not, done with a file that is read rightly. It is not a problem:
@@ -48,9 +53,14 @@ A remark is a sentence that says what was, or was not, done with a file that is 
 
 from __future__ import annotations
 
+import ctypes
+import io
+import struct
+from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
-from itertools import product
+from functools import cache
+from itertools import chain, product
 from math import lcm
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,20 +70,20 @@ import numpy as np
 from eldata.base.files import read_file
 from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw import tiff
-from eldata.raw.colour import neutral_of_white, white_balance_of
-from eldata.raw.container import RawContainer, check_container, read_container
+from eldata.raw.colour import neutral_of_white
+from eldata.raw.container import NEEDED, check_container, make_cfa_error, read_container, refuse_unsupported
 from eldata.raw.damage import border_remarks, check_damage, check_samples
-from eldata.raw.libraw import check_one_image, check_sizes, open_raw, visible_cfa
+from eldata.raw.levels import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.stated import StatedFile
-from eldata.raw.unsupported import NEEDED, refuse_unsupported
 from eldata.records import D65, RawFrame, Sensor, exact_number
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import rawpy
     from numpy.typing import NDArray
 
+    from eldata.raw.container import RawContainer
     from eldata.raw.levels import CfaRows
     from eldata.raw.tiff import Directory
     from eldata.records import Matrix3, RawHeader
@@ -144,7 +154,10 @@ def _read_header(file: RawContainer) -> RawHeader:
     with open_raw(file):  # LibRaw knows it
         if file.main is None:
             return file.header
-        levels_dn = dng_mean_levels(file.main) if file.is_dng else None  # LibRaw's cost decoding
+        levels_dn = None
+        if file.is_dng:  # LibRaw's cost decoding
+            black = file.main.values.get(tiff.BLACK_LEVEL) or (0,)
+            levels_dn = float(sum(black) / len(black)), dng_white_level(file.main)
         return replace(file.header, remarks=_container_remarks(file), levels_dn=levels_dn)
 
 
@@ -252,6 +265,157 @@ def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
     return frame.exposure.iso * frame.exposure.exposure_s  # type: ignore[operator] # checked above
 
 
+# --- LibRaw -----------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def open_raw(file: RawContainer, what: str = "decode") -> Iterator[rawpy.RawPy]:
+    """Open a raw file with LibRaw. Its errors say that it cannot do ``what``.
+
+    Raises
+    ------
+    RawFileError
+        If LibRaw does not know the file or refuses it, then or inside the block.
+    """
+    import rawpy
+
+    _set_openmp_threads()(1)  # a setting of the calling thread, so it is made for each read
+    # Not rawpy.imread: it warns in every forked process, of what the line above removes.
+    raw = rawpy.RawPy()
+    try:
+        content = _mend(file)
+        if content is None:
+            _open_file(raw, file.path)
+        else:
+            raw.open_buffer(io.BytesIO(content))
+        yield raw
+    except rawpy.LibRawFileUnsupportedError as error:
+        raise RawFileError(file.path, "is not a raw file that LibRaw knows") from error
+    except rawpy.LibRawError as error:
+        reason = error.args[0] if error.args else error
+        # "Unsufficient memory" is mostly said of sizes that cannot be, without asking for any.
+        text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
+        raise RawFileError(file.path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
+    finally:
+        raw.close()
+
+
+def _mend(file: RawContainer) -> bytes | None:
+    """Whole file's bytes as LibRaw reads them right; None if it does so as they are.
+
+    It takes the bytes of a CFAPattern's 16-bit numbers for numbers, and strips for rows that follow one another.
+    """
+    wide = [image for image in file.directories if image.entries.get(tiff.CFA_PATTERN, (0, 0))[1] == tiff.SHORT]
+    rows = None if file.rows is None or file.rows.are_found else file.rows
+    if not wide and rows is None:
+        return None
+    content = bytearray(file.path.read_bytes())
+    for directory in wide:
+        entry, _ = directory.entries[tiff.CFA_PATTERN]
+        numbers = bytes(min(int(number), 255) for number in directory.values[tiff.CFA_PATTERN])
+        struct.pack_into(f"{directory.order}HHI", content, entry, tiff.CFA_PATTERN, 1, len(numbers))
+        at = entry + 8
+        if len(numbers) > 4:
+            (at,) = struct.unpack_from(f"{directory.order}I", content, at)
+        content[at : at + len(numbers)] = numbers
+    return bytes(content) if rows is None else rows.rearrange(content)
+
+
+def _open_file(raw: rawpy.RawPy, path: Path) -> None:
+    try:
+        raw.open_file(str(path))
+    except UnicodeEncodeError:  # rawpy knows names in UTF-8 alone
+        with path.open("rb") as file:
+            raw.open_buffer(file)
+
+
+@cache
+def _set_openmp_threads() -> Callable[[int], object]:
+    """Find omp_set_num_threads of the runtime that rawpy's wheel brings; or a function that does nothing."""
+    import rawpy
+
+    package = Path(rawpy.__file__).parent
+    for library in sorted((package.parent / "rawpy.libs").glob("libgomp*")):
+        return ctypes.CDLL(str(library)).omp_set_num_threads
+    return lambda _: None
+
+
+def check_sizes(path: Path, raw: rawpy.RawPy) -> None:
+    """Refuse impossible sizes before memory is taken for the pixels."""
+    sizes, held = raw.sizes, path.stat().st_size
+    raw_pixels = sizes.raw_height * sizes.raw_width
+    if held * tiff.MOST_PIXELS < raw_pixels:
+        raise RawFileError(path, f"truncated: {held} bytes cannot hold {raw_pixels} pixels")
+    inside = sizes.top_margin + sizes.height <= sizes.raw_height and sizes.left_margin + sizes.width <= sizes.raw_width
+    if not (inside and sizes.height and sizes.width):
+        raise RawFileError(
+            path,
+            f"damaged: its visible area of {sizes.height} x {sizes.width} pixels from {sizes.top_margin}, "
+            f"{sizes.left_margin} on does not lie inside its {sizes.raw_height} x {sizes.raw_width} pixels",
+        )
+
+
+def check_one_image(path: Path) -> None:
+    """Refuse a file whose directories name no mosaic, if LibRaw knows several images in it: a second one is asked for.
+
+    Raises
+    ------
+    UnusableRawError
+        If it does.
+    """
+    import rawpy
+
+    raw = rawpy.RawPy()
+    try:
+        raw.set_unpack_params(shot_select=1)  # before it is opened: which of its images, is chosen then
+        _open_file(raw, path)
+        raw.unpack()
+    except rawpy.LibRawRequestForNonexistentImageError:
+        return
+    except rawpy.LibRawError:  # there is one more, whatever is wrong with it
+        pass
+    finally:
+        raw.close()
+    advice = "write the one that you need as a DNG of its own (dnglab convert --image-index 0, for example)"
+    raise UnusableRawError(path, "holds several images, as of a pixel shift or of dual pixels", advice)
+
+
+# --- colour filter array ----------------------------------------------------------------------------------------------
+
+
+def visible_cfa(path: Path, raw: rawpy.RawPy, main: Directory | None) -> tuple[CfaRows, tuple[int, ...]]:
+    """Ask for the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
+    stated = None if main is None else _stated_cfa(raw, main)
+    if stated is not None and packing_sites(stated[0]).block > 1:
+        return stated
+    names = raw.color_desc.decode("ascii", "replace")
+    try:
+        pattern = raw.raw_pattern
+    except NotImplementedError as error:  # what rawpy raises for a CFA that it has no pattern for
+        raise RawFileError(path, f"unsupported colour filter array ({error})") from error
+    period = 0 if pattern is None else len(pattern)
+    top, left = raw.sizes.top_margin, raw.sizes.left_margin
+    sites = [[raw.raw_color(top + y, left + x) for x in range(period)] for y in range(period)]
+    letters = ["".join(names[index] for index in row) for row in sites]
+    cfa = cfa_of_letters(letters)
+    if cfa is None:
+        raise make_cfa_error(path, letters)
+    libraw_index = dict(zip(chain(*cfa), chain(*sites), strict=True))
+    return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
+
+
+def _stated_cfa(raw: rawpy.RawPy, main: Directory) -> tuple[CfaRows, tuple[int, ...]] | None:
+    """CFA as :func:`visible_cfa` has it, from the tags of its image; None if they state none that works."""
+    whole, names = cfa_of_letters(main.cfa_letters or ()), raw.color_desc.decode("ascii", "replace")
+    if whole is None or not set("RGB") <= set(names):
+        return None
+    # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
+    top, left = main.corner()
+    cfa = cfa_from(whole, raw.sizes.top_margin - top, raw.sizes.left_margin - left)
+    indices = (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))
+    return cfa, indices[: packing_sites(cfa).levels]
+
+
 # --- levels and colours -----------------------------------------------------------------------------------------------
 
 
@@ -259,12 +423,6 @@ def dng_white_level(mosaic: Directory) -> float:
     """WhiteLevel of a DNG; where it states none, by the specification the largest number."""
     (white, *_) = mosaic.values.get(tiff.WHITE_LEVEL) or ((1 << mosaic.number(tiff.BITS, 16)) - 1,)
     return exact_number(Fraction(white))
-
-
-def dng_mean_levels(mosaic: Directory) -> tuple[float, float]:
-    """Mean black level and white level that a DNG states, DN."""
-    black = mosaic.values.get(tiff.BLACK_LEVEL) or (0,)
-    return float(sum(black) / len(black)), dng_white_level(mosaic)
 
 
 def dng_black_levels(path: Path, mosaic: Directory, raw: rawpy.RawPy, cfa: CfaRows) -> tuple[float, ...] | None:
@@ -312,8 +470,7 @@ def as_shot_multipliers(raw: rawpy.RawPy, first: Directory) -> tuple[float, floa
     """
     neutral = tuple(map(Fraction, first.values.get(tiff.AS_SHOT_NEUTRAL, ())))
     if len(neutral) == 3 and min(neutral) > 0:
-        exact = white_balance_of((neutral[0], neutral[1], neutral[2]))
-        return tuple(map(exact_number, exact))  # type: ignore[return-value] # of four
+        return exact_number(neutral[1] / neutral[0]), 1.0, exact_number(neutral[1] / neutral[2]), 1.0
     white = _neutral_of_white(first)
     red, green, blue, second_green = raw.camera_whitebalance if white is None else (*1 / white, 0)
     if not (red > 0 and green > 0 and blue > 0):
@@ -375,16 +532,12 @@ def _illuminant(first: Directory, tag: int) -> int:
 
 
 def _container_remarks(file: RawContainer) -> tuple[str, ...]:
+    """Remark on each of a mosaic's lists of opcodes, and on byte counts that are too small."""
     if file.main is None:
         return ()
-    return opcode_remarks(file.main) + (() if file.rows is None else file.rows.remarks)
-
-
-def opcode_remarks(mosaic: Directory) -> tuple[str, ...]:
-    """Remark on each of a mosaic's lists of opcodes."""
-    remarks = []
+    remarks = [] if file.rows is None else [*file.rows.remarks]
     for number, (tag, meaning) in enumerate(zip(tiff.OPCODE_LISTS, _NOT_APPLIED, strict=True), 1):
-        codes = map(int, mosaic.values.get(tag, ()))
+        codes = map(int, file.main.values.get(tag, ()))
         names = dict.fromkeys(_OPCODES[code - 1] if 0 < code <= len(_OPCODES) else "unknown" for code in codes)
         if names:
             remarks.append(f"its OpcodeList{number} ({', '.join(names)}) is not applied: {meaning}")

@@ -73,7 +73,7 @@ class MosaicFacts:
 
 @dataclass(frozen=True, slots=True)
 class StatedFile:
-    """A mosaic's file, and what is stated of it by the card (``facts``) and by its row (``exposure``)."""
+    """A mosaic's file, with the card's facts and the exposure in the manifest's row."""
 
     path: Path
     facts: MosaicFacts
@@ -108,7 +108,7 @@ class StatedFile:
         )
         misfit = level_misfit(mosaic, black, white)
         if misfit is not None:
-            raise _misfit_error(self, misfit, float(mosaic.max()))
+            raise _make_misfit_error(self, misfit, float(mosaic.max()))
         sensor = Sensor(
             "", "", bayer_cfa(self.facts.cfa), black * 4 if len(black) == 1 else black, white, *mosaic.shape
         )
@@ -155,19 +155,19 @@ def _check_declared(file: StatedFile, declared: Declared) -> None:
         )
     if "int" in declared.values and np.iinfo(declared.values).max < (1 - _BLACK_ERROR) * file.facts.white_level_dn:
         largest = int(np.iinfo(declared.values).max)
-        raise _misfit_error(file, f"{declared.values}, which ends at {largest}", largest)
+        raise _make_misfit_error(file, f"{declared.values}, which ends at {largest}", largest)
 
 
-def _misfit_error(file: StatedFile, misfit: str, largest: float) -> UnusableRawError:
+def _make_misfit_error(file: StatedFile, misfit: str, largest: float) -> UnusableRawError:
     black = " ".join(f"{level:.4g}" for level in dict.fromkeys(file.facts.black_level_dn))
     return UnusableRawError(
         file.path,
         f"{misfit}, where its card states black {black} and white {file.facts.white_level_dn:g}",
-        f"{_fitting_levels(file.facts, largest)}put right what the card's mosaics state of it",
+        f"{_propose_levels(file.facts, largest)}put right what the card's mosaics state of it",
     )
 
 
-def _fitting_levels(facts: MosaicFacts, largest: float) -> str:
+def _propose_levels(facts: MosaicFacts, largest: float) -> str:
     """Name levels that would fit values up to ``largest``: shares of white, or the stated ones in as many bits."""
     if largest <= _FAR_FRACTIONS[0][0]:
         return "black 0 and white 1 would fit: "
@@ -179,7 +179,7 @@ def _fitting_levels(facts: MosaicFacts, largest: float) -> str:
 
 
 def level_misfit(mosaic: NDArray[Any], black_dn: tuple[float, ...], white_dn: float) -> str | None:
-    """Describe what of a mosaic (H, W) cannot be of these levels; ``None`` if it may be of them."""
+    """Describe why a mosaic (H, W) cannot have these levels; ``None`` if it can."""
     import numpy as np
 
     sample = mosaic[:: mosaic.size // _LOOKED_AT | 1].astype(np.float32)

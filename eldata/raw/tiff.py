@@ -31,7 +31,7 @@ COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
 
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
 SAMPLES, ROWS_PER_STRIP, SAMPLE_FORMAT = 277, 278, 339
-UNCOMPRESSED, JPEG_XL = 1, 52546  # compressions; the latter of DNG 1.7
+UNCOMPRESSED, JPEG, JPEG_XL = 1, 7, 52546  # compressions; the last of DNG 1.7
 TILE_WIDTH, TILE_HEIGHT = 322, 323
 STRIPS, TILES = (273, 279), (324, 325)
 """Offsets and byte counts."""
@@ -56,8 +56,7 @@ PANASONIC, PANASONIC_ISOS = 1, (55, 23)  # in a Panasonic's first directory
 MOST_PIXELS = 8
 """That a byte of image data can hold: no lossless code of noise takes less than one bit."""
 
-_LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK_DELTAS[1]: "BlackLevelDeltaV"}
-_LEVELS |= {WHITE_LEVEL: "WhiteLevel"}
+_LEVELS = {BLACK_LEVEL: "BlackLevel", 50715: "BlackLevelDeltaH", 50716: "BlackLevelDeltaV", WHITE_LEVEL: "WhiteLevel"}
 
 _SUB_IFDS, EXIF_IFD = 330, 34665
 # Tags whose values are read, and so must lie inside the file.
@@ -75,11 +74,11 @@ ASCII, SHORT = 2, 3
 _FRACTIONS, _FLOATS = (5, 10), (11, 12)
 _CODES = {1: "B", 3: "H", 4: "I", 5: "I", 6: "b", 7: "B", 8: "h", 9: "i", 10: "i", 11: "f", 12: "d", 13: "I"}
 # Of all directories together; a file with more is damaged, or made to keep a reader busy. Cameras write some hundred
-# entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
+# entries. The values are counted for the tags above: two for each strip or tile, of which 150 megapixels in rows or in
 # tiles of 128 x 128 pixels have 20,000.
 _MOST = {"directories": 64, "entries": 1 << 12, "values": 1 << 17}
-_MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: those of cameras have up to 8
-_MOST_MASKED = 8  # areas of masked pixels: those of cameras have up to 4
+_MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: cameras write up to 8
+_MOST_MASKED = 8  # areas of masked pixels: cameras write up to 4
 # How many numbers these tags of a mosaic hold: readers take them apart.
 _COUNTS = {
     WIDTH: (1,),
@@ -135,7 +134,7 @@ class Directory:
 
     @property
     def black_repeat(self) -> tuple[int, int]:
-        """Rows and columns after which its BlackLevel repeats; some write one number, beside one level."""
+        """Rows and columns after which its BlackLevel repeats; some write one number, with one level."""
         repeat = self.values.get(BLACK_REPEAT, ())
         return (int(repeat[0]), int(repeat[1])) if len(repeat) == 2 else (1, 1)
 
@@ -227,7 +226,7 @@ def check_images(path: Path, directories: Sequence[Directory]) -> None:
 
 
 def _check_mosaic(path: Path, mosaic: Directory, of_dng: bool) -> None:
-    """Refuse a mosaic of which numbers that are relied on are missing or impossible, or that has too little data."""
+    """Refuse a mosaic with missing or impossible numbers in tags that are relied on, or with too little data."""
     for tag, counts in _COUNTS.items():
         values = mosaic.values.get(tag)
         if values is not None and (len(values) not in counts or min(values, default=0) < 0):
@@ -235,10 +234,7 @@ def _check_mosaic(path: Path, mosaic: Directory, of_dng: bool) -> None:
             raise RawFileError(path, f"damaged: expected {counts[0]} numbers from 0 on as its tag {tag}; found {shown}")
     repeats = mosaic.values.get(BLACK_REPEAT, (1, 1))
     if not 1 <= min(repeats) <= max(repeats) <= _MOST_REPEATED:
-        raise RawFileError(
-            path,
-            f"damaged: its BlackLevel repeats every {repeats} pixels; expected 1 to {_MOST_REPEATED} either way",
-        )
+        raise RawFileError(path, f"damaged: its BlackLevel repeats every {repeats} pixels, not 1 to {_MOST_REPEATED}")
     # JPEG XL is refused by name; a DNG's uncompressed data are held against its rows (eldata.raw.container).
     elsewhere = (JPEG_XL, UNCOMPRESSED) if of_dng else (JPEG_XL,)
     if mosaic.held * MOST_PIXELS < mosaic.pixels and mosaic.compression not in elsewhere:
@@ -283,12 +279,9 @@ class TiffReader:
 
     def read_first(self) -> tuple[Directory, Directory]:
         """Read the first directory and the EXIF directory that it names; empty ones where there are none."""
-        first = self.read(self._first)
-        return first, self.read(first.number(EXIF_IFD, 0))
-
-    def read(self, at: int) -> Directory:
-        """Read the directory at a place of the file; an empty one at 0."""
-        return self._read(at)[0] if at else Directory({})
+        first = self._read(self._first)[0] if self._first else Directory({})
+        at = first.number(EXIF_IFD, 0)
+        return first, self._read(at)[0] if at else Directory({})
 
     def _require(self, end: int) -> None:
         require(self._path, self._size, end)

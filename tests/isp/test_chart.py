@@ -124,13 +124,11 @@ def test_the_chart(mosaic_of: str, model: str, tmp_path: Path) -> None:
             # Red alone by that much is 38.7 * 0.33 * 0.002 * 0.21 in L* and 167 * 0.33 * 0.002 * 0.4 in a*: 0.05.
             # Three channels of different sign, worst case: 0.15.
             from_truth = delta_e(our_patches, CHART)
-            print(f"{model}: delta E from the chart: mean {from_truth.mean():.4f}, largest {from_truth.max():.4f}")
             assert from_truth.max() < 0.15
         # LibRaw scales every channel by one range, white less the least black level: 5 DN of 15791 too much or too
         # little where black levels differ, 0.03 % of a channel, at most 0.02 in delta E as above. It rounds to 16 bits
         # after white balance and after the matrix: 1 of 2200 in the darkest patch, below 0.01.
         difference = delta_e(our_patches, their_patches)
-        print(f"{response}: from LibRaw: mean {difference.mean():.4f}, largest {difference.max():.4f}")
         assert difference.mean() < 0.015
         assert difference.max() < 0.03
 

@@ -7,9 +7,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 from eldata.metrics import psnr, rescale, rescale_factor
 
@@ -85,22 +82,3 @@ def test_rescale_torch(dtype: torch.dtype) -> None:
     assert not result.requires_grad
     numpy_result = rescale(p.detach().double().numpy(), g.double().numpy())
     torch.testing.assert_close(result.double(), torch.from_numpy(numpy_result).to(dtype).double())
-
-
-@settings(max_examples=80, deadline=None)
-@given(
-    hnp.arrays(np.float32, st.tuples(*[st.integers(1, 12)] * 3), elements=st.floats(-0.5, 1.5, width=32)),
-    st.integers(0, 2**32 - 1),
-)
-def test_properties(p: npt.NDArray[np.float32], seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    g = np.minimum(rng.random(p.shape, np.float32) * 1.3, np.float32(1))
-    factor = rescale_factor(p, g)
-    assert factor >= 0.0
-    if np.clip(p, 0, 1)[g != 1].astype(np.float64).any():
-        assert factor == pytest.approx(elds_factor(p, g), rel=1e-12)
-    else:
-        assert factor == 1.0
-    result = rescale(p, g)
-    assert result.min() >= 0
-    assert result.max() <= 1

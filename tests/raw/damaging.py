@@ -1,24 +1,22 @@
-"""Damage to raw files as disks, downloads and cables do it, and how much of it is noticed."""
+"""Damage to raw files as disks, downloads and cables do it."""
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from eldata.errors import RawFileError
 from eldata.raw.reading import read_raw
 from eldata.raw.tiff import read_directories
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    import numpy as np
+
+    from eldata.records import RawFrame
 
 PAGE = 4096
+LOSSES = ("hole of zeros", "hole of one page", "tail of zeros", "tail of zeros, EXIF whole", "hole of 0xFF")
 
 
 @dataclass(frozen=True)
@@ -28,91 +26,29 @@ class Whole:
     content: bytes
     first: int
     behind: int
-    mosaic: NDArray[np.uint16]
-    exposure: object
+    frame: RawFrame
 
     @classmethod
     def read(cls, path: Path) -> Whole:
-        content = path.read_bytes()
-        extents = [extent for found in read_directories(path) if found.is_mosaic for extent in found.extents]
-        first = min((offset for offset, _ in extents), default=0)
-        behind = max((offset + count for offset, count in extents), default=len(content))
-        frame = read_raw(path)
-        return cls(content, first, behind, frame.mosaic, frame.exposure)
+        mosaics = [directory for directory in read_directories(path) if directory.is_mosaic]
+        extents = [extent for mosaic in mosaics for extent in mosaic.extents]
+        return cls(path.read_bytes(), min(extents)[0], max(map(sum, extents)), read_raw(path))
 
-
-def _place(whole: Whole, size: int, generator: np.random.Generator, *, aligned: bool = False) -> slice:
-    """Somewhere wholly inside the image data; where these are shorter, their second half."""
-    size = min(size, (whole.behind - whole.first) // 2)
-    at = int(generator.integers(whole.first, whole.behind - size + 1))
-    if aligned:
-        at = max(-(-whole.first // PAGE) * PAGE, at // PAGE * PAGE)
-        at = at if at + size <= whole.behind else whole.first
-    return slice(at, at + size)
-
-
-def hole(data: bytearray, whole: Whole, generator: np.random.Generator, fill: int = 0) -> None:
-    """A page to some hundred KB, at a page of the disk or anywhere."""
-    size = round(PAGE * float(generator.uniform(1, 2) * 2.0 ** generator.integers(0, 7)))
-    aligned = bool(generator.integers(2))
-    place = _place(whole, size // PAGE * PAGE if aligned else size, generator, aligned=aligned)
-    data[place] = bytes([fill]) * (place.stop - place.start)
-
-
-def page_hole(data: bytearray, whole: Whole, generator: np.random.Generator) -> None:
-    """One page."""
-    place = _place(whole, PAGE, generator, aligned=bool(generator.integers(2)))
-    data[place] = bytes(place.stop - place.start)
-
-
-def hole_of_ones(data: bytearray, whole: Whole, generator: np.random.Generator) -> None:
-    """As erased flash memory has it."""
-    hole(data, whole, generator, 0xFF)
-
-
-def tail(data: bytearray, whole: Whole, generator: np.random.Generator) -> None:
-    """One page to 90 % of the image data, with all that follows them in the file."""
-    longest = 0.9 * (whole.behind - whole.first)
-    size = round(min(PAGE, longest) * (longest / min(PAGE, longest)) ** float(generator.uniform()))
-    data[whole.behind - size :] = bytes(len(data) - (whole.behind - size))
-
-
-def tail_of_data(data: bytearray, whole: Whole, generator: np.random.Generator) -> None:
-    """The same, but what follows the image data is whole, EXIF among it."""
-    rest = data[whole.behind :]
-    tail(data, whole, generator)
-    data[whole.behind :] = rest
-
-
-HARMS: dict[str, Callable[[bytearray, Whole, np.random.Generator], None]] = {
-    "hole of zeros": hole,
-    "hole of one page": page_hole,
-    "tail of zeros": tail,
-    "tail of zeros, EXIF whole": tail_of_data,
-    "hole of 0xFF": hole_of_ones,
-}
-
-
-def noticed(path: Path, whole: Whole) -> str:
-    """How a damaged file fares: refused when read, harmless, or wrong without a word."""
-    try:
-        frame = read_raw(path)
-    except RawFileError:
-        return "read"
-    same = np.array_equal(frame.mosaic, whole.mosaic) and frame.exposure == whole.exposure
-    return "harmless" if same else "silent"
-
-
-def rates(paths: Sequence[Path], name: str, trials: int, seed: int, folder: Path) -> Counter[str]:
-    """Damage files ``trials`` times in one way, and count how that is noticed."""
-    generator = np.random.default_rng([seed, list(HARMS).index(name)])
-    wholes = [Whole.read(path) for path in paths]
-    counts: Counter[str] = Counter()
-    for trial in range(trials):
-        index = trial % len(paths)
-        data = bytearray(wholes[index].content)
-        HARMS[name](data, wholes[index], generator)
-        damaged = folder / f"damaged{paths[index].suffix}"
-        damaged.write_bytes(data)
-        counts[noticed(damaged, wholes[index])] += 1
-    return counts
+    def lose(self, loss: str, generator: np.random.Generator) -> bytes:
+        """Overwrite a part of the image data: their end, or a hole of a page to some hundred KB."""
+        data, held = bytearray(self.content), self.behind - self.first
+        if loss.startswith("tail"):
+            least, most = min(PAGE, 0.9 * held), 0.9 * held
+            start = self.behind - round(least * (most / least) ** float(generator.uniform()))
+            stop = self.behind if loss.endswith("EXIF whole") else len(data)
+        else:
+            pages = 1.0 if loss == "hole of one page" else float(generator.uniform(1, 2) * 2.0 ** generator.integers(7))
+            size = min(round(PAGE * pages), held // 2)
+            start = int(generator.integers(self.first, self.behind - size + 1))
+            if generator.integers(2):  # a page of the disk, and whole ones
+                size = size // PAGE * PAGE or size
+                start = max(-(-self.first // PAGE) * PAGE, start // PAGE * PAGE)
+                start = start if start + size <= self.behind else self.first
+            stop = start + size
+        data[start:stop] = (b"\xff" if loss == "hole of 0xFF" else b"\0") * (stop - start)
+        return bytes(data)

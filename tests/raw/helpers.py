@@ -10,12 +10,15 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+import pytest
 import tifffile
 
+from eldata.errors import RawFileError
+from eldata.raw import read_header, read_raw
 from eldata.records import Exposure, Sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -201,6 +204,17 @@ def reference_pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     corners = ((row, column), (row, side - column), (side - row, side - column), (side - row, column))
     within = [(y, x) for y in range(side) for x in range(side)]
     return np.stack([im[y + down :: period, x + right :: period] for y, x in corners for down, right in within])
+
+
+def check_refused(path: Path, words: str, *readers: Callable[[Path], object]) -> RawFileError:
+    """Assert that a file is refused in one line that names it: by ``read_raw`` and ``read_header`` if none is given."""
+    for read in readers or (read_raw, read_header):
+        with pytest.raises(RawFileError, match=words) as caught:
+            read(path)
+        assert caught.value.path == path
+        assert str(caught.value) == f"{path}: {caught.value.reason}"
+        assert "\n" not in str(caught.value)
+    return caught.value
 
 
 Tag = tuple[int, str, int, object, bool]

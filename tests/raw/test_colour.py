@@ -94,25 +94,31 @@ def multipliers(white: tuple[float, float], matrix: Array) -> list[float]:
         ((0.2990, 0.3149), 1.0, [21], np.eye(3)),  # D75, beyond it
         (D50, share_of(5003), [21], np.eye(3)),
         (D50, 0.0, [0], np.eye(3)),  # for a light that is not known
+        (D50, 0.0, ["calibration", "signature"], np.eye(3)),  # of another profile
+        (D50, 0.0, ["third"], None),
         (D50, 0.0, ["balance", "calibration"], np.diag([1.2, 1.0, 0.8]) @ np.diag([1.1, 1.0, 0.9])),
     ],
 )
 def test_a_white_point_gives_the_white_balance(
-    white: tuple[float, float], share: float, more: Sequence[int | str], scale: Array, tmp_path: Path
+    white: tuple[float, float], share: float, more: Sequence[int | str], scale: Array | None, tmp_path: Path
 ) -> None:
     """DNG specification 1.7.1, chapter 6: AnalogBalance * CameraCalibration * ColorMatrix * XYZ is the neutral."""
     tags = [tenths(50721, AT_A), (50778, "H", 1, 17, True)]
+    named: dict[int | str, Tag] = {
+        "balance": (50727, "2I", 3, (12, 10, 1, 1, 8, 10), True),
+        "calibration": tenths(50723, (11, 0, 0, 0, 10, 0, 0, 0, 9)),
+        "signature": (50931, "s", 0, "another", True),
+        "third": tenths(52531, AT_D65),
+    }
     for name in more:
-        if name == "balance":
-            tags.append((50727, "2I", 3, (12, 10, 1, 1, 8, 10), True))
-        elif name == "calibration":
-            tags.append(tenths(50723, (11, 0, 0, 0, 10, 0, 0, 0, 9)))
-        else:
-            tags += [tenths(50722, AT_D65), (50779, "H", 1, name, True)]
+        tags += [named[name]] if name in named else [tenths(50722, AT_D65), (50779, "H", 1, name, True)]
     path = tmp_path / "a.dng"
     write_plain_dng(path, random_mosaic(64, 64), ("RG", "GB"), *tags)
     assert read_raw(path).sensor.white_balance is None
     add_tags(path, (50729, "2I", 2, (round(white[0] * 10**4), 10**4, round(white[1] * 10**4), 10**4), True))
+    if scale is None:
+        assert read_raw(path).sensor.white_balance is None
+        return
     first, second = (np.array(numbers).reshape(3, 3) / 10 for numbers in (AT_A, AT_D65))
     expected = multipliers(white, scale @ ((1 - share) * first + share * second))
     found = read_raw(path).sensor.white_balance

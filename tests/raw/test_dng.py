@@ -54,24 +54,10 @@ def test_every_field_comes_back(name: str, tmp_path: Path) -> None:
 @in_one_test("shape", [(22, 22), (23, 22), (22, 23), (23, 25), (301, 203), (64, 600)])
 @in_one_test("name", ["GRBG", "xtrans-41", "quad-30", "nona-14"])
 def test_sizes(name: str, shape: tuple[int, int], compression: Compression, tmp_path: Path) -> None:
-    check_round_trip(
-        tmp_path / "a.dng", random_mosaic(*shape), make_sensor(CFAS[name], *shape), compression=compression
-    )
-
-
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-@pytest.mark.parametrize("content", ["all 16 bits", "0 and 65535", "0 and 32768"])
-def test_pixel_values(content: str, compression: Compression, tmp_path: Path) -> None:
-    height, width = 120, 140
-    coins = np.random.default_rng(9).integers(0, 2, (height, width))
-    contents: dict[str, NDArray[Any]] = {
-        "all 16 bits": random_mosaic(height, width, low=0, high=65535),
-        "0 and 65535": coins * 65535,
-        "0 and 32768": coins * 32768,
-    }
-    mosaic = contents[content].astype(np.uint16)
-    sensor = make_sensor(height=height, width=width, white_level_dn=65535.0)
-    check_round_trip(tmp_path / "a.dng", mosaic, sensor, compression=compression)
+    sensor = make_sensor(CFAS[name], *shape, white_level_dn=65535.0)
+    coins = np.random.default_rng(9).integers(0, 2, shape).astype(np.uint16)
+    for mosaic in (random_mosaic(*shape, low=0, high=65535), coins * np.uint16(65535), coins * np.uint16(32768)):
+        check_round_trip(tmp_path / "a.dng", mosaic, sensor, compression=compression)
 
 
 @pytest.mark.parametrize(
@@ -106,36 +92,27 @@ def test_an_exposure_in_floats_is_the_decimals_that_they_print_as(tmp_path: Path
         check_refused(tmp_path / name, "iso = 1601/2|a DNG cannot hold", {}, replace(EXPOSURE, **{name: value}))
 
 
-@pytest.mark.parametrize(
+@in_one_test(
     "fields",
     [
         {"make": "", "model": ""},
         {"make": "A"},
+        # LibRaw has levels and a matrix of its own for these.
+        {"make": "NIKON CORPORATION", "model": "NIKON D850"},
+        {"make": "SONY", "model": "ILCE-7SM2"},
+        {"make": "FUJIFILM", "model": "X-T2"},
+        {"make": "Phase One", "model": "P 45"},
         {"white_balance": None, "xyz_to_camera": None},
         {"black_level_dn": (0.0, 0.0, 0.0, 0.0)},
         {"black_level_dn": (0.0, 7.0, 1.0, 300.0)},
         {"white_level_dn": 515.0},
         {"white_level_dn": 65535.0},
     ],
-    ids=str,
 )
 def test_sensors_come_back(fields: dict[str, Any], tmp_path: Path) -> None:
-    check_round_trip(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(**fields))
-
-
-@pytest.mark.parametrize(
-    ("make", "model"),
-    [
-        ("NIKON CORPORATION", "NIKON D850"),
-        ("SONY", "ILCE-7SM2"),
-        ("FUJIFILM", "X-T2"),
-        ("Phase One", "P 45"),
-    ],
-)
-@pytest.mark.parametrize("name", ["GBRG", "xtrans-00"])
-def test_what_libraw_knows_of_a_camera_changes_nothing(make: str, model: str, name: str, tmp_path: Path) -> None:
-    sensor = make_sensor(CFAS[name], make=make, model=model)
-    check_round_trip(tmp_path / "a.dng", random_mosaic(60, 64), sensor)
+    for cfa in (BAYER["GBRG"], CFAS["xtrans-00"]):
+        if "black_level_dn" not in fields or cfa == BAYER["GBRG"]:
+            check_round_trip(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(cfa, **fields))
 
 
 # --- what others read ---------------------------------------------------------------------------------------

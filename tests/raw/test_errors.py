@@ -2,37 +2,40 @@
 
 from __future__ import annotations
 
-import struct
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
 
+import imagecodecs
 import numpy as np
 import pytest
 import tifffile
 from PIL import Image
 
-from eldata.errors import RawFileError
+from eldata.errors import RawFileError, UnusableRawError
+from eldata.isp import render_libraw
 from eldata.raw import read_header, read_raw, write_dng
+from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
     XTRANS,
     Cfa,
     Tag,
+    active_area,
     add_tags,
+    check_refused,
     letters,
     make_sensor,
+    opcode_list,
     random_mosaic,
     write_plain_dng,
     xtrans_at,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from eldata.records import RawFrame, RawHeader
-
-READERS: list[Callable[[Path], RawFrame | RawHeader]] = [read_raw, read_header]
 KINDS: dict[str, tuple[Cfa, Literal["none", "lossless-jpeg"]]] = {
     "uncompressed": (BAYER["RGGB"], "none"),
     "lossless JPEG": (BAYER["GBRG"], "lossless-jpeg"),
@@ -51,203 +54,225 @@ def only_libraw_prints(capfd: pytest.CaptureFixture[str]) -> Iterator[None]:
     assert [line for line in printed if "data corrupted at" not in line] == []
 
 
-def refused(path: Path, reason: str, readers: list[Callable[[Path], RawFrame | RawHeader]] | None = None) -> None:
-    for read in readers or READERS:
-        with pytest.raises(RawFileError, match=reason) as caught:
-            read(path)
-        assert caught.value.path == path
-        assert str(caught.value) == f"{path}: {caught.value.reason}"
-        assert "\n" not in str(caught.value)
-
-
 def test_a_missing_file(tmp_path: Path) -> None:
-    refused(tmp_path / "a.ARW", "cannot be read: No such file or directory")
-    refused(tmp_path / "no folder" / "a.ARW", "cannot be read: No such file or directory")
     (tmp_path / "b.ARW").symlink_to(tmp_path / "gone.ARW")
-    refused(tmp_path / "b.ARW", "cannot be read: No such file or directory")
+    for name in ("a.ARW", "no folder/a.ARW", "b.ARW"):
+        check_refused(tmp_path / name, "cannot be read: No such file or directory")
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF"])
 def test_an_ordinary_image_named_as_a_raw_file(kind: str, tmp_path: Path) -> None:
     pixels = (random_mosaic(64, 3 * 64) >> 8).astype(np.uint8).reshape(64, 64, 3)
     Image.fromarray(pixels).save(tmp_path / "a.ARW", kind)
-    refused(tmp_path / "a.ARW", "is a JPEG picture" if kind == "JPEG" else "not a raw file that LibRaw knows")
+    check_refused(tmp_path / "a.ARW", "is a JPEG picture" if kind == "JPEG" else "not a raw file that LibRaw knows")
 
 
-@pytest.mark.parametrize(
-    "content", [b"\0" * 5000, b"\xff" * 5000, b"II*\0" * 1000, b"MM\0*" * 1000, b"II*\0", b"x\n" * 5000]
+@in_one_test(
+    "content, words",
+    [
+        *((content, ".") for content in (b"\0" * 5000, b"\xff" * 5000, b"II*\0" * 1000, b"MM\0*" * 1000, b"II*\0")),
+        (b"x\n" * 5000, "."),
+        (b"FOVb", "is a Sigma X3F, .*Foveon"),
+        (b"II\x1a\0\0\0HEAPCCDR", "is a CRW .*Adobe DNG Converter"),
+        (b"PK\x03\x04", "is a ZIP archive .*unpack it"),
+        *(
+            (magic, "is an array, .*state them in the mosaics")
+            for magic in (b"\x93NUMPY", b"MATLAB 5.0", b"\x89HDF\r\n")
+        ),
+    ],
 )
-def test_noise(content: bytes, tmp_path: Path) -> None:
-    (tmp_path / "a.dng").write_bytes(content)
-    refused(tmp_path / "a.dng", ".")
+def test_noise(content: bytes, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.dng").write_bytes(content + bytes(1000 if len(content) > 4 else 0))
+    check_refused(tmp_path / "a.dng", words)
 
 
 # --- truncated ----------------------------------------------------------------------------------------------
 
 
+def written(path: Path, kind: str) -> tuple[bytes, int]:
+    """Write a DNG of a kind; return its bytes, and where its pixels end."""
+    cfa, compression = KINDS[kind]
+    write_dng(path, random_mosaic(24, 26), make_sensor(cfa, 24, 26), EXPOSURE, compression=compression)
+    with tifffile.TiffFile(path) as tiff:
+        return path.read_bytes(), tiff.pages.first.dataoffsets[0] + tiff.pages.first.databytecounts[0]
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_file_without_its_last_pixel(kind: str, tmp_path: Path) -> None:
-    path = tmp_path / "a.dng"
-    data, end = written(path, kind, (60, 66))
-    path.write_bytes(data[: end - 1])
-    refused(
-        path,
-        rf"truncated: it declares data up to byte \d+ but has {end - 1} bytes; copy or download it again",
-    )
-
-
-@pytest.mark.parametrize("kind", ["uncompressed", "lossless JPEG", "X-Trans"])
 def test_a_file_cut_anywhere_before_its_exif_is_refused(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "a.dng"
     data, end = written(path, kind)
-    for length in [*range(0, 400, 3), *range(400, end, 29), end - 1]:
+    for length in [*range(0, 400, 3), *range(400, end, 29)]:
         path.write_bytes(data[:length])
-        refused(path, ".", [read_raw])
+        check_refused(path, ".", read_raw)
+    path.write_bytes(data[: end - 1])
+    check_refused(path, rf"truncated: it declares data up to byte \d+ but has {end - 1} bytes; copy or download it")
 
 
 # Regression: EXIF stands behind the pixels. Where its last values are cut off exifread makes up numbers
 # (1/30 s becomes 1/1, 255/256, 1/4294967296...) or leaves them out, logs "Unexpected slice length" on stderr,
 # and read_raw returns them as the exposure.
-@pytest.mark.parametrize("kind", ["uncompressed", "lossless JPEG", "X-Trans"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_file_cut_inside_of_its_exif_never_gives_another_exposure(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "a.dng"
     data, end = written(path, kind)
-    wrong = {}
     for length in range(end, len(data)):
         path.write_bytes(data[:length])
-        for read in READERS:
+        for read in (read_raw, read_header):
             try:
-                read_as = read(path)
+                assert read(path).exposure == EXPOSURE
             except RawFileError:
                 continue
-            if read_as.exposure != EXPOSURE:
-                wrong[length - len(data)] = read_as.exposure
-    assert wrong == {}
-
-
-def written(path: Path, kind: str, shape: tuple[int, int] = (24, 26)) -> tuple[bytes, int]:
-    """Write a DNG of a kind; return its bytes, and where its pixels end."""
-    cfa, compression = KINDS[kind]
-    write_dng(path, random_mosaic(*shape), make_sensor(cfa, *shape), EXPOSURE, compression=compression)
-    with tifffile.TiffFile(path) as tiff:
-        return path.read_bytes(), tiff.pages.first.dataoffsets[0] + tiff.pages.first.databytecounts[0]
-
-
-def test_data_that_cannot_hold_the_pixels_though_the_extents_fit(tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66))
-    add_tags(tmp_path / "a.dng", (259, "H", 1, 7, True), (279, "I", 1, 40, True))
-    refused(tmp_path / "a.dng", "truncated: its image data, 40 bytes, cannot hold 4224 pixels")
 
 
 def test_a_last_row_of_zeros_far_below_black(tmp_path: Path) -> None:
     path, mosaic = tmp_path / "a.dng", random_mosaic(64, 66)
     mosaic[-1] = 0
     write_plain_dng(path, mosaic, ("RG", "GB"), (50714, "I", 1, 400, True))
-    refused(path, "last row is all 0 DN", [read_raw])
+    check_refused(path, "last row is all 0 DN", read_raw)
     write_plain_dng(path, mosaic, ("RG", "GB"))  # black 0: zeros are dark
     np.testing.assert_array_equal(read_raw(path).mosaic, mosaic)
 
 
-# --- not a mosaic of a Bayer or X-Trans sensor --------------------------------------------------------------
+# --- by name ------------------------------------------------------------------------------------------------
+
+REPEAT, BLACK, WHITE, DELTA, MASKED = 50713, 50714, 50717, 50715, 50830
+COMPRESSION, LINEAR = 259, (262, "H", 1, 34892, True)  # PhotometricInterpretation: LinearRaw
+MOSAIC = random_mosaic(72, 72)
+NAN = float("nan")
+WRITE = r"; read its pixels with tifffile and write a DNG whose mosaic is one uint16 plane \(eldata\.raw\.write_dng\)"
 
 
-def test_an_already_demosaiced_dng(tmp_path: Path) -> None:
-    rgb = random_mosaic(64, 3 * 66).reshape(64, 66, 3)
-    write_plain_dng(tmp_path / "a.dng", rgb, None, photometric=34892, planarconfig=1)
-    refused(tmp_path / "a.dng", "already demosaiced", [read_raw])
+@dataclass
+class Case:
+    """A DNG that tifffile writes, and what its error says; ``changed``: tags that tifffile would not write."""
+
+    words: str
+    tags: Sequence[Tag] = ()
+    pattern: Sequence[str] | None = ("RG", "GB")
+    changed: Sequence[Tag] = ()
+    data: Any = None
+    options: dict[str, Any] = field(default_factory=dict)
 
 
-@pytest.mark.parametrize("pattern", [None, ("RR", "RR")])
-def test_a_monochrome_dng(pattern: tuple[str, str] | None, tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), pattern)
-    refused(tmp_path / "a.dng", "no colour filter array", [read_raw])
+def tag(code: int, kind: str, *values: float) -> Tag:
+    return code, kind, len(values) // len(kind), values, True
 
 
-# Regression: the greens side by side or in one column, and any 6 x 6 of R, G and B, are taken for Bayer
-# and X-Trans; of "RB", "GG" the record even has a CFA without channel 1 and three black levels.
-@pytest.mark.parametrize(
-    "pattern",
-    [
-        ("RG", "RB"),
-        ("RB", "GG"),
-        ("GG", "RB"),
-        ("RG", "BG"),
-        ("GR", "GB"),
-        ("RRGG", "GGBB", "RRGG", "GGBB"),
-        ("RGGRRB",) * 6,
-        ("RGBRGB", "GBRGBR", "BRGBRG") * 2,
-        (*letters(XTRANS["xtrans-00"])[:5], "GGRGGR"),
-    ],
-    ids="/".join,
+def in_blocks(side: int) -> list[str]:
+    return ["".join(colour * side for colour in row) for row in ("RG", "GB") for _ in range(side)]
+
+
+def of_planes(*numbers: int) -> list[Tag]:
+    return [tag(33421, "H", 2, 2), *((code, "B", 4, bytes(numbers), True) for code in (33422, 50710))]
+
+
+REFUSED = [
+    # levels
+    Case(
+        "its BlackLevel has 2 numbers, expected 4 by .*; write it again",
+        [tag(REPEAT, "H", 2, 2), tag(BLACK, "I", 1, 2)],
+    ),
+    Case("its BlackLevel has 4 numbers, expected 1 by", [tag(REPEAT, "H", 2), tag(BLACK, "I", 1, 2, 3, 4)]),
+    Case("its BlackLevel has 1 number, expected 2 by", [tag(REPEAT, "H", 1, 2), tag(BLACK, "I", 64)]),
+    Case(
+        "states no BlackLevel, only the MaskedAreas.*; measure it there and",
+        [active_area(0, 2, 64, 66), tag(MASKED, "I", 0, 0, 64, 2)],
+    ),
+    Case("damaged: its BlackLevel is not a number", [tag(BLACK, "d", NAN)]),
+    Case("damaged: its BlackLevel is not a number", [tag(BLACK, "f", NAN)]),
+    # which LibRaw takes for 0
+    Case("damaged: its BlackLevel is not a number", [tag(BLACK, "2I", 512, 0)]),
+    Case("damaged: its WhiteLevel is not a number", [tag(WHITE, "2I", 512, 0)], options={"white": None}),
+    Case("damaged: its BlackLevelDeltaH is not a number", [tag(DELTA, "2I", 512, 0)]),
+    # numbers that are missing or impossible
+    Case("damaged: expected 2 numbers .* tag 50713", [tag(REPEAT, "H", 2, 2, 1), tag(BLACK, "H", 1, 2, 3, 4)]),
+    Case(r"damaged: its BlackLevel repeats every \(0, 0\) pixels", [tag(REPEAT, "H", 0, 0), tag(BLACK, "H", 1)]),
+    Case(
+        r"damaged: its BlackLevel repeats every \(1, 65\) pixels", [tag(REPEAT, "H", 1, 65), tag(BLACK, "H", *[1] * 65)]
+    ),
+    Case("damaged: expected 4 numbers .* tag 50830", [tag(MASKED, "I", 0, 0, 1)]),
+    Case("damaged: expected 4 numbers .* tag 50830", [tag(MASKED, "I", *(0, 0, 1, 1) * 9)]),  # more than any camera's
+    Case("damaged: expected 4 numbers .* tag 50829", [tag(50829, "I", 0, 0)]),
+    Case("damaged: expected 4 numbers from 0 on as its tag 50829; found -8", [tag(50829, "i", -8, -8, 60, 60)]),
+    Case("damaged: expected 2 numbers .* tag 33421", [tag(33421, "H", 2)], None),
+    Case("damaged: its list of opcodes .* 40 bytes", [opcode_list(2, 9, declared=2)]),
+    Case("damaged: its list of opcodes .* 40 bytes", [opcode_list(2, 9, declared=2**32 - 1)]),
+    Case(
+        "truncated: its image data, 40 bytes, cannot hold 5184 pixels",
+        changed=[tag(COMPRESSION, "H", 7), tag(279, "I", 40)],
+    ),
+    # layouts and compressions
+    *(
+        Case(f"has interleaved {name.lower()}s .its {name}InterleaveFactor is {number}", [tag(code, "I", number)])
+        for name, code, number in [("Row", 50975, 0), ("Row", 50975, 2), ("Column", 52547, 2), ("Column", 52547, 70000)]
+    ),
+    *(
+        Case("is a DNG of whole numbers in Deflate compression", options={"compression": name})
+        for name in ("deflate", "adobe_deflate")
+    ),
+    Case("is a GPR .*gpr_tools -i", changed=[tag(COMPRESSION, "H", 9)]),
+    Case("has pixels that are floating-point numbers", changed=[LINEAR], data=MOSAIC.astype(np.float32)),
+    # Regression: but for layout 2 LibRaw ignores it, and the mosaic was read as if its rows were straight.
+    *(Case(f"its CFALayout is {layout} ", [tag(50711, "H", layout)]) for layout in (2, 4)),
+    # Regression: the greens side by side or in one column, and any 6 x 6 of R, G and B, are taken for Bayer
+    # and X-Trans; of "RB", "GG" the record even has a CFA without channel 1 and three black levels.
+    *(
+        Case("unsupported colour filter array: .* sites of BGR", pattern=pattern)
+        for pattern in [
+            *(("RG", "RB"), ("RB", "GG"), ("GG", "RB"), ("RG", "BG"), ("GR", "GB")),
+            *(("RRGG", "GGBB", "RRGG", "GGBB"), ("RGGRRB",) * 6, ("RGBRGB", "GBRGBR", "BRGBRG") * 2),
+            (*letters(XTRANS["xtrans-00"])[:5], "GGRGGR"),
+        ]
+    ),
+    Case("array: as of hexadeca-Bayer, 8 x 8 sites of BGR", pattern=in_blocks(4)),
+    Case("array: 4 x 4 sites of BGR", pattern=[*in_blocks(2)[:3], "GGBG"]),
+    Case("array: 6 x 6 sites of BGR", pattern=[*in_blocks(3)[:5], "GGGBBG"]),
+    # Regression: LibRaw takes the first four colours for the pattern, so it was read as Bayer.
+    Case("array: 4 x 4 sites of BGR", pattern=["RGGB", "RGGB", "GRBG", "BGGR"]),
+    # LibRaw calls any four colours CYGM.
+    Case(r"array: CYGM \(cyan.*2 x 2 sites of CGMY", of_planes(3, 4, 5, 1), None),
+    Case(r"array: RGBW \(with white", of_planes(0, 1, 6, 2), None),
+]
+# Only their samples show it.
+REFUSED_DECODED = [
+    *(
+        Case(f"white level {white} DN is not above the black level", [tag(BLACK, "I", 400)], options={"white": white})
+        for white in (400, 100)
+    ),
+    *(Case("no colour filter array", pattern=pattern) for pattern in (None, ("RR", "RR"))),
+    Case(
+        "already demosaiced",
+        pattern=None,
+        data=MOSAIC.reshape(24, 72, 3),
+        options={"photometric": 34892, "planarconfig": 1},
+    ),
+]
+
+
+@in_one_test(
+    "case, readers",
+    [*((case, (read_raw, read_header)) for case in REFUSED), *((case, (read_raw,)) for case in REFUSED_DECODED)],
 )
-def test_other_patterns_of_red_green_and_blue(pattern: tuple[str, ...], tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(66, 72), pattern)
-    refused(tmp_path / "a.dng", "unsupported colour filter array", [read_raw])
+def test_it_is_refused_by_name(case: Case, readers: Sequence[Callable[[Path], object]], tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    write_plain_dng(path, MOSAIC if case.data is None else case.data, case.pattern, *case.tags, **case.options)
+    add_tags(path, *case.changed)
+    error = check_refused(path, case.words, *readers)
+    of_damage = case.words.startswith(("damaged", "truncated", "white level"))
+    assert isinstance(error, UnusableRawError) is not of_damage
 
 
-def in_blocks(side: int, rows: tuple[str, str] = ("RG", "GB")) -> list[str]:
-    return ["".join(colour * side for colour in row) for row in rows for _ in range(side)]
+def write_jpeg_xl(path: Path, mosaic: Any) -> None:
+    stream = bytes(imagecodecs.jpegxl_encode(mosaic, bitspersample=16, effort=1, lossless=True))
+    layout: dict[str, Any] = {"shape": mosaic.shape, "dtype": np.uint16, "rowsperstrip": len(mosaic)}
+    write_plain_dng(path, iter([stream]), ("RG", "GB"), compression=52546, **layout)
 
 
-NAMED = {
-    "hexadeca-Bayer": (in_blocks(4), "as of hexadeca-Bayer, 8 x 8 sites of BGR"),
-    "nearly quad-Bayer": (["RRGG", "RRGG", "GGBB", "GGBG"], "4 x 4 sites of BGR"),
-    "nearly nona-Bayer": ([*in_blocks(3)[:5], "GGGBBG"], "6 x 6 sites of BGR"),
-    # Regression: LibRaw takes the first four colours of the next for the pattern, so it was read as Bayer.
-    "four columns": (["RGGB", "RGGB", "GRBG", "BGGR"], "4 x 4 sites of BGR"),
-}
-
-
-@pytest.mark.parametrize(("pattern", "words"), NAMED.values(), ids=NAMED)
-def test_a_colour_filter_array_by_name(pattern: list[str], words: str, tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(72, 72), pattern)
-    refused(tmp_path / "a.dng", f"unsupported colour filter array: {words}")
-
-
-@pytest.mark.parametrize(
-    ("numbers", "words"), [((3, 4, 5, 1), r"CYGM \(cyan.*2 x 2 sites of CGMY"), ((0, 1, 6, 2), r"RGBW \(with white")]
-)
-def test_other_colours_by_name(numbers: tuple[int, ...], words: str, tmp_path: Path) -> None:
-    """LibRaw calls any four colours CYGM."""
-    planes = bytes(numbers)
-    tags: list[Tag] = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, planes, True), (50710, "B", 4, planes, True)]
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), None, *tags)
-    refused(tmp_path / "a.dng", words)
-
-
-@pytest.mark.parametrize("layout", [2, 4])
-def test_staggered_rows_are_no_bayer(layout: int, tmp_path: Path) -> None:
-    """Regression: but for layout 2 LibRaw ignores it, and the mosaic was read as if its rows were straight."""
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), (50711, "H", 1, layout, True))
-    refused(tmp_path / "a.dng", f"its CFALayout is {layout} ")
-
-
-def test_a_compression_that_libraw_cannot_decode(tmp_path: Path) -> None:
-    path = tmp_path / "GOPR0001.GPR"
-    write_plain_dng(path, random_mosaic(64, 66))
-    entry = struct.pack("<HHI", 259, 3, 1)
-    path.write_bytes(path.read_bytes().replace(entry + b"\1\0", entry + b"\x09\0"))
-    refused(path, "is a GPR .*gpr_tools -i")
-
-
-@pytest.mark.parametrize(
-    ("head", "words"),
-    [(b"FOVb", "is a Sigma X3F, .*Foveon"), (b"II\x1a\0\0\0HEAPCCDR", "is a CRW .*Adobe DNG Converter")],
-)
-def test_containers_that_are_known_not_to_work(head: bytes, words: str, tmp_path: Path) -> None:
-    (tmp_path / "a.X3F").write_bytes(head + bytes(1000))
-    refused(tmp_path / "a.X3F", words)
-
-
-@pytest.mark.parametrize("tag", ["BlackLevel", "WhiteLevel", "BlackLevelDeltaH"])
-def test_a_level_over_0_is_refused_and_not_taken_for_0(tag: str, tmp_path: Path) -> None:
-    number = {"BlackLevel": 50714, "WhiteLevel": 50717, "BlackLevelDeltaH": 50715}[tag]
-    tags: list[Tag] = [(number, "2I", 1, (512, 0), True)]
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags, white=None)
-    refused(tmp_path / "a.dng", f"its {tag} is not a number")
-
-
-@pytest.mark.parametrize("white", [400, 100])
-def test_white_not_above_black(white: int, tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), (50714, "I", 1, 400, True), white=white)
-    refused(tmp_path / "a.dng", f"white level {white} DN is not above the black level", [read_raw])
+@pytest.mark.parametrize("mosaic", [MOSAIC, np.full((64, 96), 300, np.uint16)], ids=["noise", "flat"])
+def test_jpeg_xl_is_named(mosaic: Any, tmp_path: Path) -> None:
+    """Also of less than a bit for each pixel, where all are alike; and of a demosaiced image, as phones write it."""
+    write_jpeg_xl(tmp_path / "a.dng", mosaic)
+    words = r"pixels in JPEG XL \(its Compression is 52546\).*a version before 1\.7 \(Compatib"
+    check_refused(tmp_path / "a.dng", words, read_raw, read_header, render_libraw)
+    add_tags(tmp_path / "a.dng", LINEAR)
+    check_refused(tmp_path / "a.dng", words)

@@ -16,23 +16,12 @@ from hypothesis import strategies as st
 
 from eldata.raw import read_raw, write_dng
 from eldata.raw.colour import camera_to_srgb
-from eldata.raw.tiff import (
-    RATIONAL,
-    SRATIONAL,
-    round_fraction,
-)
+from eldata.raw.tiff import RATIONAL, SRATIONAL, round_fraction
 from eldata.records import ExactFloat, Sensor, exact_fraction, exact_number
-from tests.raw.helpers import (
-    BAYER,
-    CFAS,
-    EXPOSURE,
-    letters,
-    levels_of,
-    random_mosaic,
-    write_plain_dng,
-)
+from tests.raw.helpers import BAYER, CFAS, EXPOSURE, letters, levels_of, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
     from tests.raw.helpers import Tag
@@ -66,15 +55,12 @@ def exactly(value: Any) -> Any:
 
 
 def stated(sensor: Sensor) -> dict[str, Any]:
-    return {one.name: exactly(getattr(sensor, one.name)) for one in fields(sensor)}
+    return {field.name: exactly(getattr(sensor, field.name)) for field in fields(sensor)}
 
 
-def rational_tag(code: int, values: list[Parts], kind: str = "2I") -> Tag:
-    return code, kind, len(values), tuple(part for value in values for part in value), True
-
-
-def neutral_tag(*values: Parts) -> Tag:
-    return rational_tag(50728, list(values))
+def rational_tag(code: int, values: Iterable[Parts], kind: str = "2I") -> Tag:
+    parts = tuple(part for value in values for part in value)
+    return code, kind, len(parts) // 2, parts, True
 
 
 # --- the number ---------------------------------------------------------------------------------------------
@@ -143,7 +129,7 @@ def test_what_a_foreign_dng_states_comes_back_to_the_last_digit(
         (50713, "H", 2, (len(cfa), len(cfa)), True),
         rational_tag(50714, at_sites),
         rational_tag(50721, matrix, "2i"),
-        neutral_tag(*neutral),
+        rational_tag(50728, neutral),
         *([(50778, "H", 1, illuminant, True)] if illuminant else []),
     )
     frame = read_raw(tmp_path / "foreign.dng")

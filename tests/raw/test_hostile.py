@@ -11,29 +11,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.errors import RawFileError
-from eldata.raw import read_header, read_raw
+from eldata.raw import read_raw
 from eldata.raw.tiff import read_directories
 from tests.cases import in_one_test
-from tests.raw.helpers import (
-    Tag,
-    add_tags,
-    random_mosaic,
-    write_plain_dng,
-)
+from tests.raw.helpers import Tag, add_tags, check_refused, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 Entry = tuple[int, int, int, int]  # tag, kind, count, value or offset
-
-
-def refused(path: Path, reason: str) -> None:
-    for read in (read_raw, read_header):
-        with pytest.raises(RawFileError, match=reason) as caught:
-            read(path)
-        assert caught.value.path == path
-        assert "\n" not in str(caught.value)
 
 
 def directory(*entries: Entry, following: int = 0) -> bytes:
@@ -58,13 +44,13 @@ def test_directories_that_share_their_entries(tmp_path: Path) -> None:
     content[8 : 8 + len(first)] = first
     struct.pack_into("<60I", content, 60_000, *(20_000 + 2 * number for number in range(60)))
     path.write_bytes(content)
-    refused(path, "made to keep a reader busy: its directories declare far too many values")
+    check_refused(path, "made to keep a reader busy: its directories declare far too many values")
 
 
 def test_more_entries_than_any_camera_writes(tmp_path: Path) -> None:
     path = tmp_path / "a.dng"
     path.write_bytes(b"II*\0" + struct.pack("<I", 8) + directory(*[(270, 2, 4, 0)] * 5000))
-    refused(path, "far too many entries")
+    check_refused(path, "far too many entries")
 
 
 @pytest.mark.parametrize("tag", [271, 272, 36867])
@@ -72,30 +58,13 @@ def test_a_text_of_many_megabytes_that_entries_share(tag: int, tmp_path: Path) -
     path, length = tmp_path / "a.dng", 1 << 22
     content = b"II*\0" + struct.pack("<I", 8) + directory(*[(tag, 2, length, 8)] * 4000)
     path.write_bytes(content.ljust(length + 8, b"x"))
-    refused(path, "made to keep a reader busy: its directories declare far too many values")
-
-
-@in_one_test(
-    "tags",
-    [
-        ((50713, "H", 3, (2, 2, 1), True), (50714, "H", 4, (1, 2, 3, 4), True)),
-        ((50830, "I", 3, (0, 0, 1), True),),
-        ((50830, "I", 36, (0, 0, 1, 1) * 9, True),),  # more areas than any camera's
-        ((50713, "H", 2, (0, 0), True), (50714, "H", 1, 1, True)),
-        ((50829, "I", 2, (0, 0), True),),
-        ((33421, "H", 1, 2, True),),
-        ((50829, "i", 4, (-8, -8, 60, 60), True),),
-    ],
-)
-def test_numbers_that_are_missing_or_impossible(tags: tuple[Tag, ...], tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), None, *tags)
-    refused(tmp_path / "a.dng", "damaged: ")
+    check_refused(path, "made to keep a reader busy: its directories declare far too many values")
 
 
 def test_a_directory_before_the_files_begin(tmp_path: Path) -> None:
     path = tmp_path / "a.dng"
     path.write_bytes(b"II*\0" + struct.pack("<I", 8) + directory((330, 9, 1, (1 << 32) - 5)))
-    refused(path, "it declares a directory at byte -5")
+    check_refused(path, "it declares a directory at byte -5")
 
 
 @in_one_test(
@@ -120,12 +89,11 @@ def test_more_pixels_than_the_file_can_hold(tmp_path: Path) -> None:
     write_plain_dng(path, random_mosaic(64, 66), ("RG", "GB"))
     size = path.stat().st_size
     add_tags(path, *((tag, "I", 1, sides, True) for tag in (256, 257, 278)))
-    refused(path, "its rows take 7200000000; the file has 8448 bytes there")
+    check_refused(path, "its rows take 7200000000; the file has 8448 bytes there")
     offsets, lengths = ((tag, "I", sides, (value,) * sides, True) for tag, value in ((273, 8), (279, size - 8)))
     add_tags(path, offsets, lengths, (278, "I", 1, 1, True))
     assert read_directories(path)[0].pixels == 3_600_000_000
-    with pytest.raises(RawFileError, match="its rows take 120000"):
-        read_raw(path)
+    check_refused(path, "its rows take 120000")
 
 
 def test_image_data_before_the_file_begins(tmp_path: Path) -> None:
@@ -136,7 +104,7 @@ def test_image_data_before_the_file_begins(tmp_path: Path) -> None:
     (first,) = struct.unpack_from("<I", content, 4)
     (count,) = struct.unpack_from("<H", content, first)
     add_tags(path, (273, "i", 1, -5, True))
-    refused(path, r"damaged: it declares 8448 bytes of image data at byte -5")
+    check_refused(path, r"damaged: it declares 8448 bytes of image data at byte -5")
     preview = struct.pack("<HHHIi", 3, 273, 9, 1, -5) + struct.pack("<HHIIHHIII", 279, 4, 1, 64, 259, 3, 1, 7, 0)
     content[first + 2 + 12 * count : first + 6 + 12 * count] = struct.pack("<I", len(content))
     path.write_bytes(content + preview)
@@ -151,4 +119,4 @@ def test_memory_that_there_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     path = tmp_path / "a.dng"
     write_plain_dng(path, random_mosaic(64, 66))
     monkeypatch.setattr("eldata.raw.reading.read_container", starve)
-    refused(path, "needs more memory than there is; is the file whole, and what it says it is?")
+    check_refused(path, "needs more memory than there is; is the file whole, and what it says it is?")

@@ -3,38 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from eldata.errors import ArgumentError
 from eldata.raw import normalise, pack, pack_normalised
-from eldata.raw.levels import (
-    FRAME_LEVELS,
-    FrameLevels,
-    packed_frame,
-    with_levels,
-)
+from eldata.raw.levels import FRAME_LEVELS, Clip, FrameLevels, packed_frame, with_levels
 from eldata.records import Exposure, RawFrame
 from tests.cases import in_one_test
-from tests.raw.helpers import (
-    BAYER,
-    CFAS,
-    Cfa,
-    indices_of,
-    is_xtrans,
-    make_sensor,
-    random_mosaic,
-    reference_pack,
-)
+from tests.raw.helpers import BAYER, CFAS, Cfa, indices_of, is_xtrans, make_sensor, random_mosaic, reference_pack
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-Clip = Literal["both", "upper", "none"]
 CLIPS: tuple[Clip, ...] = ("both", "upper", "none")
 
 BAYER_BLACK = (512.0, 509.25, 511.0, 514.0)
@@ -127,30 +112,25 @@ def test_white_must_lie_above_every_black(black: tuple[float, ...], white: float
         normalise(pack(mosaic, BAYER["RGGB"]), BAYER["RGGB"], black, white)
 
 
-@pytest.mark.parametrize("gain", [-1.0, -1e-9, np.nan, np.inf, 1e39])
-def test_a_gain_is_finite_and_not_negative(gain: float) -> None:
-    with pytest.raises(ArgumentError, match="gain"):
-        pack_normalised(random_mosaic(8, 8), BAYER["RGGB"], BAYER_BLACK, 16000.0, gain=gain)
+READ_ONLY = np.frombuffer(bytes(4 * 4 * 4 * 4), np.float32).reshape(4, 4, 4)
+OUT = np.empty((4, 4, 8), np.float32)
 
 
-@pytest.mark.parametrize("dtype", ["uint8", "int32", "float32", ">u2"])
-def test_a_mosaic_in_dn_is_uint16(dtype: str) -> None:
-    with pytest.raises(ArgumentError, match="uint16"):
-        pack_normalised(np.zeros((8, 8), dtype), BAYER["RGGB"], BAYER_BLACK, 16000.0)
-
-
-def test_an_unfit_out_is_refused() -> None:
-    read_only = np.empty((4, 4, 4), np.float32)
-    read_only.flags.writeable = False
-    unfit: list[NDArray[Any]] = [
-        np.empty((4, 4, 5), np.float32),
-        np.empty((4, 4, 4), np.float32, order="F"),
-        np.empty((4, 4, 8), np.float32)[:, :, ::2],
-        read_only,
-    ]
-    for out in unfit:
-        with pytest.raises(ArgumentError, match="out must be a writeable C-contiguous float32"):
-            pack_normalised(random_mosaic(8, 8), BAYER["RGGB"], BAYER_BLACK, 16000.0, out=out)
+@in_one_test(
+    "words, dtype, arguments",
+    [
+        *(("gain", "uint16", {"gain": gain}) for gain in (-1.0, -1e-9, np.nan, np.inf, 1e39)),
+        *(("uint16", dtype, {}) for dtype in ("uint8", "int32", "float32", ">u2")),
+        *(
+            ("out must be a writeable C-contiguous float32", "uint16", {"out": out})
+            for out in (OUT[:, :, :5].copy(), np.asfortranarray(OUT[:, :, :4]), OUT[:, :, ::2], READ_ONLY)
+        ),
+        ("clip must be one of 'both', 'upper', 'none'", "uint16", {"clip": "lower"}),
+    ],
+)
+def test_other_arguments_are_refused(words: str, dtype: str, arguments: dict[str, Any]) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        pack_normalised(np.zeros((8, 8), dtype), BAYER["RGGB"], BAYER_BLACK, 16000.0, **arguments)
 
 
 # --- which levels -------------------------------------------------------------------------------------------------
@@ -181,6 +161,13 @@ def test_levels_are_those_of_the_file_or_of_the_published_code(levels: FrameLeve
         if level is not None:
             frame = RawFrame(Path("a.dng"), np.full((12, 12), level, np.uint16), sensor, Exposure())
             assert set(packed_frame(frame, levels=levels, clip="none").ravel().tolist()) == {value}
+
+
+def test_white_is_where_the_range_is_the_references() -> None:
+    reference = make_sensor(black_level_dn=(500.0,) * 4, white_level_dn=13500.0)
+    noisy = make_sensor(black_level_dn=(510.0,) * 4, white_level_dn=15000.0)
+    assert with_levels(noisy, "metadata", reference).white_level_dn == 13510
+    assert with_levels(noisy, "published", reference).white_level_dn == 16383
 
 
 def test_unknown_levels_are_refused() -> None:

@@ -16,11 +16,11 @@ import rawpy
 
 from eldata.errors import RawFileError
 from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
-from eldata.raw.container import read_container
+from eldata.raw.container import lossy_compression, read_container
 from eldata.raw.reading import raw_facts
 from eldata.raw.tiff import TiffReader
 from eldata.records import Exposure
-from tests.raw.helpers import EXPOSURE, Tag, make_sensor, random_mosaic, write_plain_dng
+from tests.raw.helpers import EXPOSURE, Tag, add_tags, check_refused, make_sensor, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:
     from eldata.records import RawHeader
@@ -53,9 +53,7 @@ def test_a_cr3_cut_off_anywhere(tmp_path: Path) -> None:
     data, path = CR3.read_bytes(), tmp_path / "a.CR3"
     for end in range(4, len(data), 97):
         path.write_bytes(data[:end])
-        for read in (read_header, read_raw):
-            with pytest.raises(RawFileError, match=r"a\.CR3"):
-                read(path)
+        check_refused(path, ".")
 
 
 @pytest.mark.parametrize(
@@ -71,16 +69,14 @@ def test_a_cr3_whose_boxes_do_not_hold_together(kind: bytes, size: int, words: s
     data, path = bytearray(CR3.read_bytes()), tmp_path / "a.CR3"
     struct.pack_into(">I", data, at_box(data, kind), size)
     path.write_bytes(data)
-    with pytest.raises(RawFileError, match=words):
-        stated(path)
+    check_refused(path, words, stated)
 
 
 def test_a_cr3_of_a_great_many_boxes(tmp_path: Path) -> None:
     data, path = CR3.read_bytes(), tmp_path / "a.CR3"
     moov = at_box(data, b"moov")
     path.write_bytes(data[:moov] + struct.pack(">I4s", 8, b"free") * 1001 + data[moov:])
-    with pytest.raises(RawFileError, match="more than 1000 boxes"):
-        stated(path)
+    check_refused(path, "more than 1000 boxes", stated)
 
 
 def test_sizes_of_64_bits_and_to_the_end_of_the_file(tmp_path: Path) -> None:
@@ -137,11 +133,11 @@ def test_the_tiff_in_an_mrw(tmp_path: Path) -> None:
     header = stated(path)
     assert (header.make, header.model, header.exposure) == ("Acme", "Nocturne 1", EXPECTED)
     path.write_bytes(path.read_bytes()[:500])
-    with pytest.raises(RawFileError, match="truncated"):
-        stated(path)
+    check_refused(path, "truncated", stated)
     path.write_bytes(mrw(*[(b"\0WBG", b"")] * 100_000))
-    with pytest.raises(RawFileError, match="damaged: it declares more than 1000 blocks"):
-        stated(path)
+    check_refused(path, "damaged: it declares more than 1000 blocks", stated)
+    path.write_bytes(mrw((b"\0PRD", bytes(24))).replace(struct.pack(">I", 24), struct.pack(">I", 25)))
+    check_refused(path, "damaged: its block at byte 8 reaches beyond its header of 40 bytes", stated)
 
 
 # --- values that files do not state ---------------------------------------------------------------------------
@@ -174,7 +170,11 @@ def test_an_unknown_exposure_is_none(parts: tuple[int, int], tmp_path: Path) -> 
 )
 def test_the_iso(tags: list[Tag], iso: int | None, tmp_path: Path) -> None:
     write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags)
-    assert stated(tmp_path / "a.dng").exposure.iso == iso
+    header = stated(tmp_path / "a.dng")
+    assert header.exposure.iso == iso
+    if iso is None:
+        with pytest.raises(RawFileError, match=r"a\.dng: states no ISO, and an exposure ratio needs it"):
+            exposure_ratio(read_header(CR3), header)
 
 
 def test_reading_a_header_decodes_no_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,7 +189,7 @@ def test_reading_a_header_decodes_no_pixels(tmp_path: Path, monkeypatch: pytest.
     assert read_header(CR3).model == "Canon EOS R6"
 
 
-@pytest.mark.parametrize("text", ["0000:00:00 00:00:00", "    :  :     :  :  ", "2026-11-21 10:00:00"])
+@pytest.mark.parametrize("text", ["0000:00:00 00:00:00", "1980:01:01 00:00:00", "2026-11-21 10:00:00"])
 def test_a_clock_that_was_never_set_is_unknown(text: str, tmp_path: Path) -> None:
     write_plain_dng(tmp_path / "a.dng", random_mosaic(60, 64), ("RG", "GB"), (36867, "s", 0, text, True))
     assert stated(tmp_path / "a.dng").taken is None
@@ -220,6 +220,29 @@ def test_a_real_dng() -> None:
     assert frame.mosaic.shape == (64, 96)
     # Its Orientation is 2, mirrored: the mosaic stands as the sensor was read out.
     assert frame.mosaic[0, :4].tolist() == list(struct.unpack_from("<4H", DNG.read_bytes(), 6992))
+
+
+# --- what loses data --------------------------------------------------------------------------------------------------
+
+PIXELS, LINEAR = 64 * 96, (262, "H", 1, 34892, True)
+
+
+@pytest.mark.parametrize(
+    ("compression", "held", "tags", "words"),
+    [
+        (32767, PIXELS, (), "Sony's lossy compression"),
+        (32767, PIXELS * 14 // 8, (), "none"),  # 14 bits a pixel
+        (1, PIXELS, (), "none"),  # eight bits
+        (34892, PIXELS // 3, (), "a DNG's lossy JPEG"),
+        (7, PIXELS // 2 * 3, (), "none"),
+        (34892, PIXELS // 3, (LINEAR,), "none"),  # no mosaic: 34892 is LinearRaw too
+    ],
+)
+def test_what_headers_say(compression: int, held: int, tags: tuple[Tag, ...], words: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.arw"
+    write_plain_dng(path, random_mosaic(64, 96))
+    add_tags(path, (259, "H", 1, compression, True), (279, "I", 1, held, True), *tags)
+    assert (lossy_compression(path) or "none").startswith(words)
 
 
 # --- once -----------------------------------------------------------------------------------------------------

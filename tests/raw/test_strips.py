@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from eldata.errors import RawFileError
 from eldata.isp import render_libraw
 from eldata.raw import read_header, read_raw
-from tests.raw.helpers import add_tags, random_mosaic, write_plain_dng
+from tests.raw.helpers import add_tags, check_refused, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -79,17 +78,15 @@ def test_strips_that_do_not_make_up_the_image_are_refused(tmp_path: Path) -> Non
     move_blocks(tmp_path / "a.dng", gap=2)
     add_tags(tmp_path / "a.dng", (278, "I", 1, 7, True))
     words = "has 5 strips of 7 rows and 134 bytes a row, which do not make up its 61 x 67 pixels of 16 bits"
-    with pytest.raises(RawFileError, match=words):
-        read_raw(tmp_path / "a.dng")
+    check_refused(tmp_path / "a.dng", words)
     # Five strips that are all of the file's pixels, of an image five times as high.
     whole = (273, "I", 5, (336,) * 5, True), (279, "I", 5, (134 * HEIGHT,) * 5, True)
     add_tags(tmp_path / "a.dng", (257, "I", 1, 5 * HEIGHT, True), *whole, (278, "I", 1, HEIGHT, True))
-    with pytest.raises(RawFileError, match="damaged: its strips share the same bytes"):
-        read_raw(tmp_path / "a.dng")
+    check_refused(tmp_path / "a.dng", "damaged: its strips share the same bytes")
 
 
 @pytest.mark.parametrize(("bits", "row_bytes"), [(16, 134), (10, 84)])
-@pytest.mark.parametrize("stated_rows", [0, 1, 41])
+@pytest.mark.parametrize("stated_rows", [0, 1, 60])
 @pytest.mark.parametrize("tail", [0, 3, 1600, -2])
 def test_a_byte_count_that_is_too_small(bits: int, row_bytes: int, stated_rows: int, tail: int, tmp_path: Path) -> None:
     """Whole files of a Raspberry Pi state one; else the rows beyond it are whatever follows, and never read."""
@@ -104,13 +101,8 @@ def test_a_byte_count_that_is_too_small(bits: int, row_bytes: int, stated_rows: 
     if tail in (0, 3):
         frame = read_raw(path)
         np.testing.assert_array_equal(frame.mosaic, mosaic)
-        assert (
-            frame.remarks
-            == read_header(path).remarks
-            == (f"{said}: all are read, since the file has just as many there",)
-        )
+        assert frame.remarks == read_header(path).remarks
+        assert frame.remarks == (f"{said}: all are read, since the file has just as many there",)
         return
     words = f"{'damaged' if tail > 0 else 'truncated'}: {said}; the file has {needed + tail} bytes there"
-    for read in (read_raw, read_header, render_libraw):
-        with pytest.raises(RawFileError, match=re.escape(words)):
-            read(path)
+    check_refused(path, re.escape(words), read_raw, read_header, render_libraw)

@@ -23,7 +23,7 @@ from eldata.noise.on_device import expose_on_device
 from eldata.raw import pack, read_raw, write_dng
 from eldata.records import Exposure
 from eldata.sources.store import build_store, source_of_folder
-from tests.datasets.test_synthetic import Mosaics
+from tests.datasets.mosaics import Mosaics
 from tests.raw.helpers import BAYER, NONA, QUAD, XTRANS, Cfa, make_sensor
 
 if TYPE_CHECKING:

@@ -16,8 +16,11 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
+from eldata.datasets.base import SourcePairs
 from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
+from eldata.records import PairRecord
+from eldata.sources.frames import Files
 from tests.drv_tree import (
     NOISY,
     REFERENCE,
@@ -26,7 +29,6 @@ from tests.drv_tree import (
     SmallDrv,
     mosaic_of,
     rgb_frame_of,
-    small_drv,
     still_of,
     write_png,
     write_raw,
@@ -40,14 +42,7 @@ if TYPE_CHECKING:
 
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-
-FRAMES = 13
 HEIGHT, WIDTH = RGB_SIZE
-
-
-@pytest.fixture(scope="module")
-def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
-    return small_drv(tmp_path_factory.mktemp("drv"), ("0007", "0013", "M0003"), FRAMES)
 
 
 @pytest.fixture(scope="module")
@@ -163,13 +158,8 @@ def test_raw_items_are_packed_and_amplified_exactly(clip: str, raw: Path) -> Non
     assert (sample["input"].min() < 0) == (clip == "upper")
 
 
-def damaged(raw: Path, tmp_path: Path) -> Path:
-    shutil.copytree(raw, tmp_path / "DRV")
-    return tmp_path / "DRV"
-
-
 def test_raw_damage_is_named(raw: Path, tmp_path: Path) -> None:
-    folder = damaged(raw, tmp_path)
+    folder = Path(shutil.copytree(raw, tmp_path / "DRV"))
     frame = folder / "short/0007/DSC00999.ARW"
     write_raw(frame, replace(NOISY, iso=Fraction(3200)))
     with pytest.raises(DatasetError, match=r"DSC00999\.ARW: its exposure ratio is 200, that of DSC00998\.ARW 100"):
@@ -194,8 +184,8 @@ def test_raw_damage_is_named(raw: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.memory
-def test_memory_does_not_grow_with_the_number_of_windows(tmp_path: Path) -> None:
-    """Twelve megapixels, thirty windows of five frames (48 MB a packed frame), of which a part is kept.
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
+    """Twelve megapixels, of which a part is kept: thirty windows of five frames (48 MB a packed frame), and the pairs.
 
     A frame decodes into a mosaic of 24 MB and a packed one of 48 MB, and the reference is held beside it: 120 MB. Whole
     frames of one window would take 240 MB.
@@ -205,12 +195,19 @@ def test_memory_does_not_grow_with_the_number_of_windows(tmp_path: Path) -> None
     for number in range(2, 35):
         os.link(tmp_path / "short/0007/DSC00001.ARW", tmp_path / f"short/0007/DSC{number:05d}.ARW")
     write_raw(tmp_path / "long/0007/DSC00001.ARW", REFERENCE, sensor=sensor)
-    dataset = DRVDataset(tmp_path, form="raw", window=5, stride=1, region=(100, 100, 256, 256))
-    assert len(dataset) == 30
+    windows = DRVDataset(tmp_path, form="raw", window=5, stride=1, region=(100, 100, 256, 256))
+    of_clip = {"reference": "long/0007/DSC00001.ARW", "camera": "", "scene": "", "split": "", "iso": None}
+    pairs = SourcePairs(
+        Files(tmp_path),
+        [PairRecord(path, **of_clip, exposure_s=None, ratio=Fraction(100)) for path in windows.clips[0].frames],  # type: ignore[arg-type]
+        crop=256,
+    )
+    assert (len(windows), len(pairs)) == (30, 34)
     process = psutil.Process()
     before = process.memory_info().rss
     largest = 0
-    for index in (0, 10, 20, 29, 1, 2):
-        assert dataset[index]["input"].shape == (5, 4, 256, 256)
-        largest = max(largest, process.memory_info().rss)
+    for dataset in (windows, pairs):
+        for index in (0, 10, 20, 29, 1, 2):
+            assert dataset[index]["input"].shape[-3:] == (4, 256, 256)
+            largest = max(largest, process.memory_info().rss)
     assert largest - before < 200e6

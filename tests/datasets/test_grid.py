@@ -2,45 +2,23 @@
 
 from __future__ import annotations
 
-from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import torch
 
-from eldata import DRVDataset, PackedStore, SyntheticClips, SyntheticPairs
-from eldata.datasets import Arrays, CleanClips, Noise2Noise, Rank, set_epoch, training_loader
+from eldata import DRVDataset, SyntheticClips, SyntheticPairs
+from eldata.datasets import Arrays, CleanClips, training_loader
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest import shipped_manifest
 from eldata.raw.levels import XTRANS_CFA, pack_normalised, packed_area
-from eldata.sources.frames import Frame
-from tests.drv_tree import small_drv
+from tests.datasets.mosaics import Mosaics
+from tests.drv_tree import RGB_SIZE
 from tests.raw.helpers import BAYER, CFAS, layout_of, levels_of, random_mosaic
-from tests.sid_tree import build_small_tree
-from tests.sources.store.helpers import pack_tree
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from tests.raw.helpers import Cfa
-
-
-class Mosaics:
-    """A source of given mosaics, black 0, white 65535."""
-
-    reads_parts = True
-
-    def __init__(self, mosaics: list[NDArray[Any]], cfa: Cfa) -> None:
-        self.mosaics, self.cfa = mosaics, cfa
-
-    def __len__(self) -> int:
-        return len(self.mosaics)
-
-    def frame(self, index: int) -> Frame:
-        return Frame(self.mosaics[index], self.cfa, (0.0,) * levels_of(self.cfa), 65535.0, f"mosaic {index}")
+    from tests.drv_tree import SmallDrv
 
 
 def grid(source: Any, **options: Any) -> SyntheticPairs:
@@ -67,7 +45,7 @@ def test_the_crops_are_the_frames_blocks_row_by_row(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["RGGB", "xtrans-00"])
 def test_turned_crops_reach_at_most_a_period_into_the_next(name: str) -> None:
-    """Of a mosaic whose values say where they stand; 20 epochs: a crop keeps one orientation with probability 8^-19."""
+    """Of a mosaic whose values say where they stand."""
     cfa, width = CFAS[name], 88
     scale, period = layout_of(cfa)[2], len(cfa)
     side = 4 * scale
@@ -75,63 +53,25 @@ def test_turned_crops_reach_at_most_a_period_into_the_next(name: str) -> None:
     area = packed_area((70, width), cfa)
     columns = (area.width - period) // side
     assert len(dataset) == (area.height - period) // side * columns > columns
-    turned = set()
-    for epoch in range(20):
-        dataset.set_epoch(epoch)
-        for index, item in enumerate(dataset):
-            places = np.rint(item["target"].numpy().astype(np.float64) * 65535).astype(int)
-            rows, lefts = np.divmod(places, width)
-            row, column = divmod(index, columns)
-            for found, first in ((rows, area.top + side * row), (lefts, area.left + side * column)):
-                assert first <= found.min() <= first + period
-                assert found.max() - found.min() == side - 1
-            if index == 0:
-                turned.add((rows[0, 0, 0] < rows[0, 1, 0], lefts[0, 0, 0] < lefts[0, 0, 1]))
-    assert len(turned) > 1
+    for index, item in enumerate(dataset):
+        places = np.rint(item["target"].numpy().astype(np.float64) * 65535).astype(int)
+        row, column = divmod(index, columns)
+        for found, first in zip(
+            np.divmod(places, width), (area.top + side * row, area.left + side * column), strict=True
+        ):
+            assert first <= found.min() <= first + period
+            assert found.max() - found.min() == side - 1
 
 
-def test_each_crop_comes_once_over_all_ranks(store: Path) -> None:
-    """And is the same by however many ranks and workers: (seed, epoch, index) decide it."""
-    dataset = PackedStore(store, crop=12, crops="grid", seed=3)
-    dataset.set_epoch(2)
-    wanted = sorted(item["input"].numpy().tobytes() for item in dataset)
-    loaders = [training_loader(dataset, 1, seed=1, rank=Rank(number, 2), workers=number) for number in range(2)]
-    for loader in loaders:
-        set_epoch(loader, 2)
-    found = [batch["input"][0].numpy().tobytes() for batch in chain(*loaders)]
-    assert len(wanted) == len(set(wanted)) == len(dataset) > 24
-    assert sorted(found) == wanted
-
-
-def test_two_noisy_frames_have_one_place(tmp_path: Path) -> None:
-    tree = build_small_tree("sid-sony", tmp_path / "sid", ["10003"])
-    pairs = PackedStore(pack_tree(tree, tmp_path / "sid.h5").store, crop=8, crops="grid", augment=False)
-    noisy = Noise2Noise(pairs)
-    each = len(pairs) // len(pairs.records)
-    assert len(noisy) % each == 0
-    assert each > 1
-    inputs = [
-        (item.crop, [part for part in item.parts if part.tensor == "input"])
-        for item in map(noisy.item, range(len(noisy)))
-    ]
-    places = {(part.facts["path"], str(crop.slices)) for crop, (part,) in inputs}
-    assert len(places) == len(noisy)
-    item = noisy.item(each + 1)
-    assert str(item.crop.slices) in {str(pairs.item(index).crop.slices) for index in range(len(pairs))}
-
-
-def test_windows_of_clips_have_a_grid_each(tmp_path: Path) -> None:
+def test_windows_of_clips_have_a_grid_each(drv: SmallDrv) -> None:
     clips = CleanClips([Arrays(np.full((6, 4, 21, 33), 0.2, np.float32), range_dn=1e4)] * 2)
     made = SyntheticClips(clips, "SonyA7S2", crop=8, crops="grid", frames=5)
     assert [made[index]["clip"] for index in range(len(made))] == [0] * 8 + [1] * 8
-    drv = small_drv(tmp_path, ("0007", "0013"), 10)
-    read = DRVDataset(drv.data, ids=["0007", "0013"], crop=8, crops="grid")
-    whole = DRVDataset(drv.data, ids=["0007", "0013"])
-    height, width = whole[0]["input"].shape[-2:]
-    each = (height // 8) * (width // 8)
+    whole = DRVDataset(drv.data, manifest=drv.csv)
+    read = DRVDataset(drv.data, manifest=drv.csv, crop=8, crops="grid")
+    each = (RGB_SIZE[0] // 8) * (RGB_SIZE[1] // 8)
     assert len(read) == each * len(whole) > len(whole)
-    second = slice(8, 16)
-    assert torch.equal(read[each + 1]["input"], whole[1]["input"][..., :8, second])
+    assert torch.equal(read[each + 1]["input"], whole[1]["input"][..., :8, 8:16])
 
 
 def test_what_cannot_be_a_grid_is_refused() -> None:

@@ -63,6 +63,18 @@ def test_each_item_is_two_exposures_of_one_place(pairs: PackedStore) -> None:
     assert len(met) > len(noisy) // 3  # three crops of a frame seldom have one and the same target
 
 
+def test_two_crops_of_a_grid_have_one_place(store: Path) -> None:
+    """Each crop of each noisy frame that has another of its kind, once, and the target's from the same place."""
+    pairs = PackedStore(store, crop=8, crops="grid", augment=False)
+    noisy = Noise2Noise(pairs)
+    each = len(pairs) // len(pairs.records)
+    items = [noisy.item(index) for index in range(len(noisy))]
+    places = {(part.facts["path"], str(item.crop.slices)) for item in items for part in [*item.parts][:1]}
+    assert len(places) == len(noisy) > each > 1
+    assert len(noisy) % each == 0
+    assert {str(item.crop.slices) for item in items} == {str(pairs.item(n).crop.slices) for n in range(len(pairs))}
+
+
 def test_what_has_no_second_exposure_is_refused(tree: SmallTree, store: Path) -> None:
     with pytest.raises(ArgumentError, match="pack the dataset"):
         Noise2Noise(SIDDataset(tree.data, manifest=tree.csv))

@@ -21,9 +21,9 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile, NoiseModel
 from eldata.raw import write_dng
 from eldata.raw.levels import pack_normalised, unpack
-from eldata.sources.frames import Frame
 from tests.cases import in_one_test
 from tests.datasets.comparing import same
+from tests.datasets.mosaics import Mosaics
 from tests.evaluation.test_way_of_a_score import modules_called
 from tests.raw.helpers import (
     BAYER,
@@ -33,14 +33,13 @@ from tests.raw.helpers import (
     Cfa,
     colours_of,
     layout_of,
-    levels_of,
     make_sensor,
     random_mosaic,
     start_of,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -49,22 +48,6 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
 NUMBERS = ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
-
-
-class Mosaics:
-    """A source of given mosaics."""
-
-    def __init__(
-        self, mosaics: Sequence[NDArray[Any]], cfa: Cfa, *, black: float = 0.0, white: float = 65535.0
-    ) -> None:
-        self.mosaics, self.cfa, self.black, self.white = mosaics, cfa, black, white
-
-    def __len__(self) -> int:
-        return len(self.mosaics)
-
-    def frame(self, index: int) -> Frame:
-        levels = (self.black,) * levels_of(self.cfa)
-        return Frame(self.mosaics[index], self.cfa, levels, self.white, f"mosaic {index}")
 
 
 @pytest.fixture(scope="module")

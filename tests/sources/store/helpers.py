@@ -71,19 +71,3 @@ def contents(path: Path) -> dict[str, Any]:
         visit("/", file)
         file.visititems(visit)
     return found
-
-
-_STOPS = """
-import pathlib, sys, time
-from eldata.sources.store import write
-decoded = write._decode
-def stopping(folder, unit):
-    if unit[1][0] == sys.argv[1]:
-        pathlib.Path(sys.argv[2]).touch()
-        while True:
-            time.sleep(60)
-    return decoded(folder, unit)
-write._decode = stopping
-from eldata.cli.main import main
-sys.exit(main(sys.argv[3:]))
-"""

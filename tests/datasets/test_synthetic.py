@@ -20,7 +20,7 @@ from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile, NoiseModel
 from eldata.raw import write_dng
-from eldata.raw.levels import pack_normalised, unpack
+from eldata.raw.levels import unpack
 from tests.cases import in_one_test
 from tests.datasets.comparing import same
 from tests.datasets.mosaics import Mosaics
@@ -30,7 +30,6 @@ from tests.raw.helpers import (
     CFAS,
     EXPOSURE,
     NONA,
-    Cfa,
     colours_of,
     layout_of,
     make_sensor,
@@ -74,22 +73,19 @@ def raw_pairs(folder: Path, **options: Any) -> SyntheticPairs:
     return pairs(CleanFrames(folder), ("SonyA7S2", "NikonD850"), **{"crops_per_frame": 4, "seed": 3} | options)
 
 
-def different(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
-    assert not torch.equal(first["input"], second["input"])
-    assert first["gain_dn_per_e"] != second["gain_dn_per_e"]
-    assert first["ratio"] != second["ratio"]
-
-
 # --- what an item depends on ----------------------------------------------------------------------------------------
 
 
 def test_an_item_depends_on_seed_epoch_and_index_alone(folder: Path) -> None:
+    """In any order, in batches, which are made at once, and of frames that are kept."""
     reference = items(raw_pairs(folder))
     assert len(reference) == 12
     shuffled = raw_pairs(folder)
     shuffled.set_epoch(0)
     for index in [*np.random.default_rng(0).permutation(12).tolist(), 5, 5, -1, -12]:
         same(shuffled[index], reference[index])
+    for number, batch in enumerate(DataLoader(shuffled, batch_size=5)):
+        same(batch, default_collate(reference[5 * number : 5 * number + 5]))
     other = raw_pairs(folder)
     other.set_epoch(7)
     assert [item["path"] for item in items(other)] == [item["path"] for item in reference]
@@ -98,18 +94,10 @@ def test_an_item_depends_on_seed_epoch_and_index_alone(folder: Path) -> None:
     kept = SyntheticPairs(CleanFrames(folder, keep=3), ("SonyA7S2", "NikonD850"), crop=8, crops_per_frame=4, seed=3)
     for index in range(12):
         same(kept[index], reference[index])
-        different(kept[index], reference[index])
-
-
-def test_batches_hold_the_items(folder: Path) -> None:
-    """Which are made at once; the last, smaller batch too."""
-    dataset = raw_pairs(folder)
-    dataset.set_epoch(1)
-    for number, batch in enumerate(DataLoader(dataset, batch_size=5)):
-        wanted = default_collate([dataset[index] for index in range(5 * number, min(5 * number + 5, 12))])
-        assert list(batch) == list(wanted)
-        for key, value in wanted.items():
-            assert torch.equal(batch[key], value) if isinstance(value, torch.Tensor) else batch[key] == value, key
+        again = kept[index]
+        assert not torch.equal(again["input"], reference[index]["input"])
+        assert again["gain_dn_per_e"] != reference[index]["gain_dn_per_e"]
+        assert again["ratio"] != reference[index]["ratio"]
 
 
 # --- where the pixels come from -------------------------------------------------------------------------------------
@@ -120,60 +108,32 @@ def numbered(height: int, width: int) -> NDArray[np.uint16]:
     return np.arange(height * width, dtype=np.uint16).reshape(height, width)
 
 
-def places(item: SyntheticSample, cfa: Cfa, width: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Row and column, in the clean frame, of each pixel of the target's mosaic."""
-    value = np.rint(unpack(item["target"].numpy().astype(np.float64), start_of(cfa)) * 65535).astype(np.int64)
-    return value // width, value % width
-
-
-@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-42", "quad-31", "nona-25"])
-def test_a_target_is_an_exact_crop_of_the_normalised_frame(name: str) -> None:
-    cfa = {**CFAS, **NONA}[name]
-    mosaic = numbered(121, 123)
-    source = Mosaics([mosaic], cfa, black=64.0, white=16000.0)
-    whole = pack_normalised(mosaic, cfa, source.frame(0).black_level_dn, 16000.0)
-    starts = set()
-    for item in items(pairs(source, crop=6, augment=False, crops_per_frame=60)):
-        target = item["target"].numpy()
-        inside = np.flatnonzero((target[0] > 0) & (target[0] < 1))
-        if inside.size == 0:
-            continue
-        y, x = np.unravel_index(inside[0], target.shape[1:])
-        ((row, column),) = np.argwhere(whole[0] == target[0, y, x])
-        top, left = int(row - y), int(column - x)
-        np.testing.assert_array_equal(target, whole[:, top : top + 6, left : left + 6])
-        starts.add((top, left))
-    assert len(starts) > 30
-
-
-@pytest.mark.parametrize("name", [*BAYER, "xtrans-15", "xtrans-42", "quad-13", "nona-25"])
-def test_all_eight_orientations_occur_and_keep_the_cfa(name: str) -> None:
+@pytest.mark.parametrize("augment", [False, True])
+@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-15", "xtrans-42", "quad-13", "nona-25"])
+def test_all_eight_orientations_occur_and_keep_the_cfa(name: str, augment: bool) -> None:
     """150 items: one of eight is missed with probability 2e-8."""
     cfa = {**CFAS, **NONA}[name]
-    height, width = 91, 99
-    colours = colours_of(cfa)
-    period = len(cfa)
-    seen = set()
-    for item in items(pairs(Mosaics([numbered(height, width)], cfa), crop=6, crops_per_frame=150)):
-        rows, columns = places(item, cfa, width)
-        side = 6 * layout_of(cfa)[2]
-        assert rows.shape == (side, side)
+    height, width, period, side = 91, 99, len(cfa), 6 * layout_of(cfa)[2]
+    y, x = np.mgrid[:side, :side]
+    source = Mosaics([numbered(height, width)], cfa)
+    found, starts = set(), set()
+    for item in items(pairs(source, crop=6, crops_per_frame=150, augment=augment)):
+        value = np.rint(item["target"].numpy().astype(np.float64) * 65535).astype(np.int64)
+        rows, columns = np.divmod(unpack(value, start_of(cfa)), width)
         # Neighbours stay neighbours, in one direction.
         down = rows[1, 0] - rows[0, 0], columns[1, 0] - columns[0, 0]
         right = rows[0, 1] - rows[0, 0], columns[0, 1] - columns[0, 0]
-        y, x = np.mgrid[:side, :side]
-        np.testing.assert_array_equal(rows, rows[0, 0] + down[0] * y + right[0] * x)
+        np.testing.assert_array_equal(rows, rows[0, 0] + down[0] * y + right[0] * x, strict=True)
         np.testing.assert_array_equal(columns, columns[0, 0] + down[1] * y + right[1] * x)
-        seen.add((*map(int, down), *map(int, right)))
+        found.add((*map(int, down), *map(int, right)))
+        starts.add((rows[0, 0], columns[0, 0]))
         # Each packed channel holds its own colour.
-        value = np.rint(item["target"].numpy().astype(np.float64) * 65535).astype(np.int64)
-        for channel, colour in zip(value, colours, strict=True):
-            found = {
-                "RGBG"[cfa[a % period][b % period]] for a, b in zip(*np.divmod(channel.ravel(), width), strict=True)
-            }
-            assert found == {colour}
+        for channel, colour in zip(value, colours_of(cfa), strict=True):
+            places = zip(*np.divmod(channel.ravel(), width), strict=True)
+            assert {"RGBG"[cfa[row % period][column % period]] for row, column in places} == {colour}
     ways = {(s, 0, 0, t) for s in (1, -1) for t in (1, -1)} | {(0, s, t, 0) for s in (1, -1) for t in (1, -1)}
-    assert seen == ways
+    assert found == (ways if augment else {(1, 0, 0, 1)})
+    assert len(starts) > 30
 
 
 # --- the noise ------------------------------------------------------------------------------------------------------

@@ -43,9 +43,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Python 3.12 and later warn of any fork in a process that has threads.
-pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-
 NUMBERS = ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
 
 

@@ -22,9 +22,6 @@ from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Python 3.12 and later warn of any fork in a process that has threads.
-pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-
 NUMBERS = ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
 RANGE_DN = 15871.0
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import rawpy
 import torch
+
+from tests.raw.helpers import reference_pack
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -42,3 +46,15 @@ def same_frames(first: CleanSource, second: CleanSource) -> None:
             *(theirs.cfa, theirs.black_level_dn, theirs.white_level_dn, theirs.sensor),
         )
         np.testing.assert_array_equal(ours.whole(), theirs.whole(), strict=True)
+
+
+def pack_plainly(path: Path, white: float, black: float | None = None) -> NDArray[np.float32]:
+    """Pack and normalise as the published codes do, in numpy on rawpy's pixels, without any clip."""
+    period = 6 if path.suffix == ".RAF" else 2
+    with rawpy.imread(str(path)) as raw:
+        colours, dn = raw.raw_colors_visible.copy(), raw.raw_image_visible.astype(np.float32)
+        own = np.array(raw.black_level_per_channel, np.float32)[colours]
+    cfa = tuple(tuple(row) for row in colours[:period, :period].tolist())
+    level = reference_pack(own, cfa) if black is None else np.float32(black)
+    packed: NDArray[np.float32] = (reference_pack(dn, cfa) - level) / (np.float32(white) - level)
+    return packed

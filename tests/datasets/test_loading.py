@@ -26,7 +26,6 @@ from eldata.datasets.loading import (
     training_loader,
 )
 from eldata.errors import ArgumentError
-from tests.datasets.drawing import Drawing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -86,17 +85,16 @@ def test_batches_do_not_depend_on_workers(workers: int, store: Path) -> None:
 
 
 def test_random_numbers_that_a_transform_draws_are_seeded_by_epoch() -> None:
-    def drawn(epoch: int, seed: int = 0) -> list[Any]:
-        loader = training_loader(Drawing(), 2, workers=2, seed=seed)
-        set_epoch(loader, epoch)
-        return [[values.tolist() for values in batch] for batch in loader]
+    """torch seeds its workers' generators, numpy's and random's too, from the loader's."""
 
-    first = drawn(1)
-    assert drawn(1) == first
-    assert drawn(2) != first
-    assert drawn(1, seed=1) != first
-    for kind in range(3):  # no two workers draw the same
-        assert len({value for batch in first for value in batch[kind]}) == 8
+    def seed_at(epoch: int, **options: Any) -> int:
+        loader = training_loader(Numbers(), 2, workers=0, **options)
+        set_epoch(loader, epoch)
+        assert loader.generator is not None
+        return loader.generator.initial_seed()
+
+    assert seed_at(1) == seed_at(1)
+    assert len({seed_at(1), seed_at(2), seed_at(1, seed=1), seed_at(1, rank=Rank(1, 2))}) == 4
 
 
 # --- settings -----------------------------------------------------------------------------------------------------
@@ -165,27 +163,25 @@ class Endless(IterableDataset[int]):
         yield from range(5)
 
 
-class Holding(Dataset[int]):
-    """Holds a function that no other process can find."""
-
-    def __init__(self) -> None:
-        self.transform: Any = lambda value: value
-
+class Numbers(Dataset[int]):
     def __len__(self) -> int:
         return 4
 
     def __getitem__(self, index: int) -> int:
-        return int(self.transform(index))
+        return index
 
 
 def test_a_dataset_that_cannot_be_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ArgumentError, match=r"Holding cannot be sent to workers .*start_method='fork' or workers=0"):
-        training_loader(Holding(), 2, workers=2)
-    assert len(list(training_loader(Holding(), 2, workers=0))) == 2
-    monkeypatch.setattr(Drawing, "__module__", "__main__")
+    dataset = Numbers()
+    dataset.transform = lambda value: value  # type: ignore[attr-defined] # which no other process can find
+    with pytest.raises(ArgumentError, match=r"Numbers cannot be sent to workers .*start_method='fork' or workers=0"):
+        training_loader(dataset, 2, workers=2)
+    assert len(list(training_loader(dataset, 2, workers=0))) == 2
+    monkeypatch.setattr(Numbers, "__module__", "__main__")
     monkeypatch.delattr(sys.modules["__main__"], "__file__", raising=False)
     with pytest.raises(ArgumentError, match="defined in an interactive session, which workers cannot import"):
-        training_loader(Drawing(), 2, workers=2)
+        training_loader(Numbers(), 2, workers=2)
+    assert training_loader(Numbers(), 2, workers=2, start_method="fork").num_workers == 2
 
 
 def test_wrong_arguments(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,22 +5,18 @@ from __future__ import annotations
 import shutil
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
-import rawpy
 
 from eldata import SIDDataset
 from eldata.errors import ArgumentError
 from eldata.manifest.catalogue import shipped_manifest
-from tests.datasets.comparing import same_bits
-from tests.raw.helpers import sid_pack
+from tests.cases import in_one_test
+from tests.datasets.comparing import pack_plainly, same_bits
 from tests.sid_tree import SENSORS, frames_of, write_frames
 from tests.trees import scale_exposure
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 CAMERAS = ("sony", "fuji")
 
@@ -64,21 +60,6 @@ def some(camera: Any, root: Path, **options: Any) -> SIDDataset:
 # --- pixels -------------------------------------------------------------------------------------------------------
 
 
-def plain_packed(path: Path, black: float | None, white: float) -> NDArray[np.float32]:
-    """Packed and normalised as the ELD and SID code do it, in numpy on rawpy's pixels, without any clip."""
-    with rawpy.imread(str(path)) as raw:
-        dn = raw.raw_image_visible.astype(np.float32)
-        own = raw.black_level_per_channel
-    if path.suffix == ".ARW":
-        planes = np.stack([dn[0::2, 0::2], dn[0::2, 1::2], dn[1::2, 1::2], dn[1::2, 0::2]])
-        level = np.array(own if black is None else [black] * 4, np.float32)[:, None, None]
-    else:
-        planes = sid_pack(dn[: dn.shape[0] // 6 * 6, : dn.shape[1] // 6 * 6])
-        level = np.array([own[0] if black is None else black], np.float32)[:, None, None]
-    packed: NDArray[np.float32] = (planes - level) / (np.float32(white) - level)
-    return packed
-
-
 LEVELS = {
     ("sony", "published"): (None, 16383.0),
     ("sony", "metadata"): (None, SENSORS["sid-sony"].white_level_dn),
@@ -97,9 +78,9 @@ def test_samples_equal_a_plain_route_bit_for_bit(camera: str, levels: str, clip:
     dataset = some(camera, sid, levels=levels, clip=clip)
     assert len(dataset) == len(NOISY[camera])
     for record, sample in zip(dataset.records, dataset, strict=True):
-        noisy = np.clip(plain_packed(sid / record.path, black, white), low, np.float32(1))
+        noisy = np.clip(pack_plainly(sid / record.path, white, black), low, np.float32(1))
         same_bits(sample["input"], np.clip(noisy * np.float32(record.ratio), low, np.float32(1)))
-        target = plain_packed(sid / record.reference, black, white)
+        target = pack_plainly(sid / record.reference, white, black)
         same_bits(sample["target"], np.clip(target, np.float32(0), np.float32(1)))
 
 
@@ -116,7 +97,7 @@ def test_the_input_is_multiplied_by_the_nominal_ratio_as_published(own: Path) ->
         (by[amplification],) = [sample for sample in dataset if sample["path"] == name]
     assert (by["nominal"]["ratio"], by["nominal"]["nominal_ratio"]) == (300.0, 300.0)
     assert (by["metadata"]["ratio"], by["metadata"]["nominal_ratio"]) == (float(Fraction(10000, 33)), 300.0)
-    once = plain_packed(own / name, None, 16383.0)
+    once = pack_plainly(own / name, 16383.0)
     same_bits(by["nominal"]["input"], once * np.float32(300))
     same_bits(by["metadata"]["input"], once * np.float32(Fraction(10000, 33)))
 
@@ -136,8 +117,8 @@ def test_a_frame_of_uncertain_iso_is_read(tmp_path: Path) -> None:
 # --- choices of pairs ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("options", "count"),
+@in_one_test(
+    "options, count",
     [
         ({}, 2697),
         ({"camera": "fuji"}, 2397),
@@ -147,12 +128,12 @@ def test_a_frame_of_uncertain_iso_is_read(tmp_path: Path) -> None:
         ({"scenes": ["10034", 1]}, 24),
     ],
 )
-def test_choices(options: dict[str, Any], count: int, sid: Path) -> None:
-    assert len(SIDDataset(sid, **options)) == count
+def test_choices(options: dict[str, Any], count: int) -> None:
+    assert len(SIDDataset("none", **options)) == count
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
+@in_one_test(
+    "options, said",
     [
         ({"camera": "Sony"}, "camera must be one of 'sony', 'fuji'; found 'Sony'"),
         ({"split": "dev"}, "split must be one of 'train', 'val', 'test', 'eval'; found 'dev'"),
@@ -160,6 +141,6 @@ def test_choices(options: dict[str, Any], count: int, sid: Path) -> None:
         ({"amplification": "exif"}, "amplification must be one of 'metadata', 'nominal'; found 'exif'"),
     ],
 )
-def test_unknown_values_list_the_known(options: dict[str, Any], said: str, sid: Path) -> None:
+def test_unknown_values_list_the_known(options: dict[str, Any], said: str) -> None:
     with pytest.raises(ArgumentError, match=said):
-        SIDDataset(sid, **options)
+        SIDDataset("none", **options)

@@ -16,7 +16,9 @@ from eldata.calibration import BiasStack, ShadingFit, fixed_pattern
 from eldata.datasets import Arrays, CleanClips, DarkFrames, SyntheticClips, SyntheticPairs
 from eldata.datasets.clean import CleanFrames
 from eldata.errors import ArgumentError, DatasetError
-from eldata.noise import Adc, CameraProfile, NoiseModel, NoiseParameters
+from eldata.noise import Adc, CameraProfile, NoiseDraw, NoiseModel, NoiseParameters
+from eldata.noise._kernels import expose_compiled
+from eldata.noise.on_device import expose_on_device
 from eldata.raw import pack, read_raw, write_dng
 from eldata.records import Exposure
 from eldata.sources.store import build_store, source_of_folder
@@ -306,6 +308,10 @@ def test_less_a_shading_the_noise_alone_is_left(tmp_path: Path) -> None:
         black = 512.0 + pack(shading.at(400), cfa)
         np.testing.assert_allclose(crops, (np.stack([pack(frame, cfa) for frame in frames]) - black) * scale, atol=2e-4)
         assert crops.var() == pytest.approx((9 + 1 / 12) * (1 if shading_from == "these" else 7 / 6), rel=0.04)
+        draws, clean = [NoiseDraw(PARAMETERS, 1.0, 1.0)] * 6, np.zeros_like(crops)
+        np.testing.assert_allclose(expose_compiled(clean, draws, (), keys=[1], dark=crops), crops, atol=2e-4)
+        on_device = expose_on_device(torch.from_numpy(clean), draws, (), torch.Generator(), dark=crops)
+        np.testing.assert_allclose(on_device.numpy(), crops, atol=2e-4)
         source = Mosaics([np.full((SIDE, SIDE), 512.0, np.float32)], cfa, black=512.0, white=15871.0)
         dataset = pairs(dark, source)
         dataset.set_epoch(0)

@@ -39,8 +39,6 @@ from tests.drv_tree import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Python 3.12 and later warn of any fork in a process that has threads.
-pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 HEIGHT, WIDTH = RGB_SIZE
 
 

@@ -146,7 +146,6 @@ class ClipWindows(CroppedItems[ClipSample]):
             raise ArgumentError(f"region must be (top, left, height, width), the sizes above 0; found {self.region}")
         if self.region is not None and crop is not None:
             raise ArgumentError("give a region or a crop, not both")
-        self.crops_per_window = crops_per_window
         super().__init__(crop, augment, crops, seed, ("crops_per_window", crops_per_window))
         self.source = source
         self.root = place
@@ -192,12 +191,9 @@ class ClipWindows(CroppedItems[ClipSample]):
 
         return pd.DataFrame([asdict(record) | {"frames": list(record.frames)} for record in self.records])
 
-    def __len__(self) -> int:
-        return self._length_of(len(self.records))
-
-    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
+    def draw_item(self, place: int, generator: np.random.Generator) -> DrawnItem:
         """Draw a crop of window ``place`` modulo their number, or of a grid its crop."""
-        number, tile = self._record_of(place, len(self.records))
+        number, tile = self._record_of(place)
         record = self.records[number]
         first = self._opener.open_target(record.reference or record.path)
         if self.region is not None:
@@ -259,8 +255,8 @@ class ClipWindows(CroppedItems[ClipSample]):
         return pair
 
     @property
-    def _cut(self) -> str:
-        return super()._cut if self.region is None else f"region={self.region}"
+    def _crop_text(self) -> str:
+        return super()._crop_text if self.region is None else f"region={self.region}"
 
     def _outline(self) -> list[tuple[str, str]]:
         return [

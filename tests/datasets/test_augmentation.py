@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from eldata.datasets.crops import ORIENTATIONS, Orientation, copy_oriented, oriented, turned_levels
+from eldata.datasets.crops import ORIENTATIONS, Orientation, copy_turned, turn_levels, turn_mosaic
 from eldata.errors import ArgumentError
 from eldata.raw.levels import XTRANS_CFA, pack, packed_black_level_dn
 from tests.cases import in_one_test
@@ -53,7 +53,7 @@ def test_the_cfa_stays_and_the_pixels_are_the_turned_ones(cfa: Cfa, orientation:
     period = len(cfa)
     height, width = 3 * period, 4 * period
     mosaic = np.arange(height * width).reshape(height, width)
-    view = oriented(mosaic, cfa, orientation)
+    view = turn_mosaic(mosaic, cfa, orientation)
     turned = expected(mosaic, orientation)
     # Less than a period is lost, at the top and at the left only.
     top, left = (turned.shape[0] - view.shape[0], turned.shape[1] - view.shape[1])
@@ -78,8 +78,8 @@ def test_levels_go_with_their_pixels(cfa: Cfa, orientation: Orientation) -> None
     """Of a mosaic whose pixels have their channel's level as their value."""
     levels = (500.0, 520.0, 505.0, 560.0)[: int(np.max(cfa)) + 1]
     mosaic = np.tile(np.array(levels, np.uint16)[np.array(cfa)], (4, 4))
-    packed = pack(oriented(mosaic, cfa, orientation), cfa)
-    expected = packed_black_level_dn(cfa, turned_levels(levels, orientation))
+    packed = pack(turn_mosaic(mosaic, cfa, orientation), cfa)
+    expected = packed_black_level_dn(cfa, turn_levels(levels, orientation))
     np.testing.assert_array_equal(packed, np.broadcast_to(expected[:, None, None], packed.shape))
 
 
@@ -95,13 +95,13 @@ def test_a_copy_is_the_view(cfa: Cfa, orientation: Orientation) -> None:
             whole[2 : 2 + rows * period, 1 : 1 + columns * period],
             whole[: rows * period, : columns * period],
         ):
-            view = oriented(mosaic, cfa, orientation)
+            view = turn_mosaic(mosaic, cfa, orientation)
             for height, width in (view.shape, (view.shape[0] - period + 1, view.shape[1]), (1, 1)):
                 copy = np.empty((height, width), np.uint16)
-                copy_oriented(mosaic, cfa, orientation, copy)
+                copy_turned(mosaic, cfa, orientation, copy)
                 np.testing.assert_array_equal(copy, view[:height, :width])
             with pytest.raises(ArgumentError, match="does not fill"):
-                copy_oriented(mosaic, cfa, orientation, np.empty((view.shape[0] + 1, 1), np.uint16))
+                copy_turned(mosaic, cfa, orientation, np.empty((view.shape[0] + 1, 1), np.uint16))
 
 
 @pytest.mark.parametrize(
@@ -115,4 +115,4 @@ def test_a_copy_is_the_view(cfa: Cfa, orientation: Orientation) -> None:
 )
 def test_shapes_that_do_not_fit(shape: tuple[int, ...], cfa: Cfa) -> None:
     with pytest.raises(ArgumentError, match=rf"sides are multiples of {len(cfa)}; found shape"):
-        oriented(np.zeros(shape), cfa, Orientation())
+        turn_mosaic(np.zeros(shape), cfa, Orientation())

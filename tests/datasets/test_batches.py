@@ -141,21 +141,20 @@ def as_worker(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("as_worker")
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs /proc")
 def test_memory_that_was_sent_is_used_again_once_both_are_done() -> None:
-    """80 batches: as many pieces as are held, with two descriptors each, and none is left where they are read."""
+    """80 batches: as many pieces as are held, and no descriptor is left where they are read."""
     received, piece = send([3, 4, 5])
     same(received, default_collate([plain_part(Plain(), index) for index in (3, 4, 5)]))
+    opened = []
     for number in range(80):
         other, its_piece = send([number, 7])
         assert its_piece is not piece
         assert (other["image"][0] == number).all()
         del other, its_piece
+        links = [link.readlink() for link in Path("/proc/self/fd").iterdir() if link.is_symlink()]
+        opened.append(sum("eldata-batch" in str(link) for link in links))
     assert (received["image"][2] == 5).all()
-    pieces = batches._pieces(batches._SharedPiece).all
-    opened = sum(
-        "eldata-batch" in str(link.readlink()) for link in Path("/proc/self/fd").iterdir() if link.is_symlink()
-    )
-    assert len(pieces) <= 2 + batches._MOST_FREE
-    assert opened == 2 * len(pieces) + 1  # the last one is the reader's
+    assert max(opened[10:]) <= max(opened[:10])
+    assert len(batches._pieces(batches._SharedPiece).all) <= 2 + batches._MOST_FREE
     view = received["image"][1, :, 3]
     del received
     assert not piece.is_free()

@@ -9,7 +9,7 @@ import pytest
 
 import eldata.raw.reading
 from eldata.datasets.clean import Arrays, CleanClips, CleanFrames
-from eldata.datasets.crops import Crop, oriented
+from eldata.datasets.crops import Crop, turn_mosaic
 from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import DatasetError, EldataError
 from eldata.raw import write_dng
@@ -150,7 +150,7 @@ def test_a_crop_of_an_array_is_what_numpy_makes_of_it(cfa: Cfa, clip: Any) -> No
         crop = Crop.draw(frame, np.random.default_rng(seed), crop=8, augment=True)
         out = np.empty(crop.packed_shape, np.float32)
         crop.fill(frame, out, clip=clip, gain=1.5)
-        turned = oriented(unpack(packed, cfa)[crop.slices] * np.float32(900), crop.cfa, crop.orientation)
+        turned = turn_mosaic(unpack(packed, cfa)[crop.slices] * np.float32(900), crop.cfa, crop.orientation)
         once = normalise(
             pack(turned[: crop.height, : crop.width].copy(), crop.cfa),
             crop.cfa,

@@ -43,7 +43,7 @@ def test_each_item_is_two_exposures_of_one_place(pairs: PackedStore) -> None:
     assert max(map(len, bursts.values())) > 2
     assert len(noisy) == 3 * sum(len(burst) for burst in bursts.values() if len(burst) > 1)
     frames = {record.path: number for number, record in enumerate(pairs.records)}
-    parts = [[*pairs.drawn(n, np.random.default_rng(0)).parts][1] for n in frames.values()]
+    parts = [[*pairs.draw_item(n, np.random.default_rng(0)).parts][1] for n in frames.values()]
     opened = {id(part.frame): pairs.records[n] for n, part in enumerate(parts)}
     met = set()
     for index in range(len(noisy)):

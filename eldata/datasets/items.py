@@ -73,13 +73,8 @@ class SharedDraws:
         # 0, or one more than the epoch that is set; then how often each item was asked for.
         self._memory = torch.zeros(1 + items, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
 
-    @property
-    def epoch(self) -> int | None:
-        """The epoch, ``None`` if none is set."""
-        return int(self._memory[0]) - 1 if self._memory[0] else None
-
-    @epoch.setter
-    def epoch(self, epoch: int) -> None:
+    def set_epoch(self, epoch: int) -> None:
+        """Fix the draw of every item."""
         self._memory[0] = epoch + 1
 
     def next_of(self, index: int) -> int:
@@ -225,11 +220,6 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
                 f"{len(several)} cameras: {', '.join(several)}; choose one with cameras=[...]"
             )
 
-    @property
-    def epoch(self) -> int | None:
-        """The epoch that was set; ``None``: draws go on by themselves."""
-        return self._draws.epoch
-
     def set_epoch(self, epoch: int) -> None:
         """Fix the draw of every item, in running workers too, until the next call: that of this epoch.
 
@@ -238,7 +228,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         ArgumentError
             If it is not a whole number from 0 up to below 2^32.
         """
-        self._draws.epoch = checked_epoch(epoch)
+        self._draws.set_epoch(checked_epoch(epoch))
 
     def _count_items(self, records: int, frames: Iterable[Frame]) -> None:
         """Count the items: of a grid its crops, in a frame of each record."""

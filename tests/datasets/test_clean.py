@@ -108,7 +108,7 @@ def test_the_frames_last_used_are_kept(folder: Path, decoded: list[str]) -> None
     "work, words",
     [
         (lambda folder: CleanFrames(folder, keep=-1), "keep"),
-        (lambda folder: CleanFrames(folder, levels="eld"), "levels must be one of 'metadata', 'published'"),
+        (lambda folder: CleanFrames(folder, levels="eld"), "levels must be one of"),  # type: ignore[arg-type]
         (lambda folder: CleanFrames(folder / "none"), "none: there is no such folder"),
         (lambda folder: CleanFrames(folder / "a.dng"), r"a\.dng: is a file, not a folder"),
         (lambda _: CleanFrames([]), "no raw file was given"),

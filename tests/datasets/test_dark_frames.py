@@ -23,7 +23,7 @@ from eldata.raw import pack, read_raw, write_dng
 from eldata.records import Exposure
 from eldata.sources.store import build_store, source_of_folder
 from tests.datasets.mosaics import Mosaics
-from tests.raw.helpers import BAYER, NONA, QUAD, XTRANS, Cfa, make_sensor
+from tests.raw.helpers import BAYER, EXPOSURE, NONA, QUAD, XTRANS, Cfa, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -248,7 +248,7 @@ def test_frames_that_do_not_go_together(change: Any, words: str, tmp_path: Path)
         DarkFrames(tmp_path / "bias.h5")
 
 
-def test_isos_and_models_that_are_refused(bias: Path, store: Path) -> None:
+def test_isos_and_models_that_are_refused(bias: Path, store: Path, tmp_path: Path) -> None:
     dark, adc = DarkFrames(bias), Adc(512, 16383)
     model, clean = NoiseModel("P*+D", dark_frames=dark), np.zeros((4, 8, 8), np.float32)
     options: dict[str, Any] = {"ratio": 1.0, "range_dn": 1.0, "generator": np.random.default_rng(0)}
@@ -270,8 +270,14 @@ def test_isos_and_models_that_are_refused(bias: Path, store: Path) -> None:
             wrong()
     with pytest.raises(DatasetError, match="holds no clean frames, but 8 of other kinds"):
         CleanFrames(store)
-    with pytest.raises(DatasetError, match="has no camera 'Other'; there is Nocturne"):
-        DarkFrames(store, "Other")
+    (tmp_path / "Flats" / "flat" / "ISO100").mkdir(parents=True)
+    write_dng(tmp_path / "Flats" / "flat" / "ISO100" / "0.dng", random_mosaic(60, 64), make_sensor(), EXPOSURE)
+    for place, camera, words in (
+        (store, "Other", "has no camera 'Other'; there is Nocturne"),
+        (tmp_path, "Flats", "holds no bias frames of Flats"),
+    ):
+        with pytest.raises(DatasetError, match=words):
+            DarkFrames(place, camera)
 
 
 # --- less a dark shading ----------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -91,7 +92,7 @@ def test_random_numbers_that_a_transform_draws_are_seeded_by_epoch() -> None:
         loader = training_loader(Numbers(), 2, workers=0, **options)
         set_epoch(loader, epoch)
         assert loader.generator is not None
-        return loader.generator.initial_seed()
+        return int(loader.generator.initial_seed())
 
     assert seed_at(1) == seed_at(1)
     assert len({seed_at(1), seed_at(2), seed_at(1, seed=1), seed_at(1, rank=Rank(1, 2))}) == 4
@@ -134,6 +135,22 @@ def test_workers_follow_cpus_and_memory(machine: Any, monkeypatch: pytest.Monkey
     machine(cpus=128)
     monkeypatch.setenv("LOCAL_WORLD_SIZE", "8")  # of 64 ranks, 8 run here
     assert loader_workers(10**6, 2, "forkserver", Rank(0, 64))[0] == 15
+
+
+def test_what_the_machine_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A control group's limits count, as those of a container; and what cannot be asked is not known."""
+    monkeypatch.setattr(loading, "_CGROUP", tmp_path)
+    for name, text in (("cpu.max", "150000 100000"), ("memory.max", "5000000"), ("memory.current", "2000000")):
+        (tmp_path / name).write_text(text)
+    assert (loading.usable_cpus(), loading.available_memory_bytes()) == (1, 3_000_000)
+    monkeypatch.delattr(os, "statvfs")
+    assert loading.shared_memory_bytes() is None
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert [loading._choose_pinning(device)[0] for device in (None, "cuda:1", "cpu")] == [True, True, False]
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.distributed, "get_rank", lambda: 2)
+    monkeypatch.setattr(torch.distributed, "get_world_size", lambda: 4)
+    assert current_rank() == Rank(2, 4)
 
 
 def test_the_description_says_what_the_loader_does(machine: Any, store: Path) -> None:

@@ -20,10 +20,11 @@ from eldata.datasets.rgb import (
     rgb2rgb,
 )
 from eldata.datasets.synthetic.pairs import SyntheticPairs
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import Gamma, Rendering, render_pair_for_scoring
 from eldata.isp.response import ResponseCurve
 from eldata.raw import read_raw, write_dng
+from eldata.sources.frames import Frame
 from tests.raw.helpers import make_sensor
 from tests.sources.store.helpers import pack_folder
 from tests.trees import Tree, copy_tree
@@ -136,6 +137,15 @@ def test_arrays_need_a_sensor_from_the_caller() -> None:
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------
+
+
+def test_what_has_no_epochs_or_sensor_is_refused(pristine: Tree) -> None:
+    with pytest.raises(ArgumentError, match="list has no epochs"):
+        raw2rgb([], sensors=lambda _: PairSensors(make_sensor(), make_sensor())).set_epoch(0)  # type: ignore[arg-type]
+    staged = raw2rgb(pairs_of(pristine))
+    staged.sensors.source.frame = lambda path: Frame.of_rgb(np.zeros((3, 2, 2), np.uint16), path)  # type: ignore[attr-defined]
+    with pytest.raises(DatasetError, match="is not a raw file, whose sensor a stage needs"):
+        staged[0]
 
 
 def test_the_repr_names_the_stages(balanced: Tree) -> None:

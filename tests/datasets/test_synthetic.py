@@ -24,7 +24,6 @@ from eldata.raw.levels import unpack
 from tests.cases import in_one_test
 from tests.datasets.comparing import same
 from tests.datasets.mosaics import Mosaics
-from tests.evaluation.test_way_of_a_score import modules_called
 from tests.raw.helpers import (
     BAYER,
     CFAS,
@@ -334,10 +333,3 @@ def test_files_of_other_bits_are_refused_with_both_ranges(black: float, white: f
     wanted = pairs(Arrays(shares, range_dn=15871.0))[0]
     assert torch.allclose(given["input"], wanted["input"], atol=1e-3)
     assert pairs(CleanFrames(clean), "CanonEOS5D4")[0]["input"].shape == (4, 8, 8)  # whose levels are not known
-
-
-def test_one_item_passes_few_modules(folder: Path) -> None:
-    dataset = pairs(CleanFrames(folder, keep=3), crops_per_frame=4)
-    items(dataset)  # what is computed once, such as kernels
-    passed, _ = modules_called(dataset.__getitem__, 0)
-    assert len(passed) <= 15, sorted(passed)

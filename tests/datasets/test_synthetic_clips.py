@@ -12,7 +12,7 @@ import torch
 
 from eldata.datasets.clean import Arrays, CleanClips
 from eldata.datasets.synthetic.pairs import SyntheticClips
-from eldata.errors import DatasetError
+from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import NoiseParameters
 from eldata.raw import write_dng
 from eldata.raw.levels import pack_normalised
@@ -139,3 +139,5 @@ def test_clips_that_are_too_short(folder: Path) -> None:
     with pytest.raises(DatasetError, match="4 frames are too few for a window of 5"):
         dataset[0]
     assert dataset[1]["input"].shape[0] == 5
+    with pytest.raises(ArgumentError, match="frames and windows_per_clip must be 1 or more; found 0, 3"):
+        raw_clips(folder, frames=0)

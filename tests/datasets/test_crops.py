@@ -113,14 +113,9 @@ def test_a_copy_is_the_view(cfa: Cfa, orientation: Orientation) -> None:
                 copy_turned(mosaic, cfa, orientation, np.empty((view.shape[0] + 1, 1), np.uint16))
 
 
-@pytest.mark.parametrize(
-    ("shape", "cfa"),
-    [
-        ((5, 4), BAYER["RGGB"]),
-        ((6, 8), XTRANS_CFA),
-        ((6, 8), QUAD["quad-13"]),
-        ((2, 2, 2), BAYER["RGGB"]),
-    ],
+@in_one_test(
+    "shape, cfa",
+    [((5, 4), BAYER["RGGB"]), ((6, 8), XTRANS_CFA), ((6, 8), QUAD["quad-13"]), ((2, 2, 2), BAYER["RGGB"])],
 )
 def test_shapes_that_do_not_fit(shape: tuple[int, ...], cfa: Cfa) -> None:
     with pytest.raises(ArgumentError, match=rf"sides are multiples of {len(cfa)}; found shape"):

@@ -41,17 +41,15 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
 
-def clips() -> SyntheticClips:
-    frames = np.random.default_rng(0).random((5, 4, 40, 40), np.float32)
-    return SyntheticClips(CleanClips([Arrays(frames, range_dn=15871.0)] * 3), "SonyA7S2", frames=2, crop=8)
-
+FRAMES = np.random.default_rng(0).random((5, 4, 40, 40), np.float32)
+CLIPS = CleanClips([Arrays(FRAMES, range_dn=15871.0)] * 3)
 
 KINDS: dict[str, Any] = {
     "files": lambda tree, _: PairDataset(tree.data, tree.csv, crop=8, seed=3),
     "store": lambda _, store: PackedStore(store, crop=8, crops_per_frame=2, seed=3),
     "grid": lambda _, store: PackedStore(store, crop=24, crops="grid", seed=3),
     "synthetic": lambda _, store: SyntheticPairs(CleanFrames(store), "SonyA7S2", crop=8, crops_per_frame=2),
-    "clips": lambda *_: clips(),
+    "clips": lambda *_: SyntheticClips(CLIPS, "SonyA7S2", frames=2, crop=8),
     "rendered": lambda _, store: raw2rgb(PackedStore(store, crop=8, seed=3, cameras=["DemoAlpha"])),
     "parts": lambda _, store: ConcatDataset([Subset(PackedStore(store, crop=8, seed=3), range(5, 12))]),
 }

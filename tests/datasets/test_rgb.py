@@ -1,6 +1,10 @@
+"""Pairs whose sides are rendered to sRGB: RGB2RGB, Raw2RGB and stages of one's own."""
+
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,7 +35,6 @@ from tests.trees import Tree, copy_tree
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from eldata.records import Sensor
 
@@ -109,17 +112,11 @@ def test_rgb2rgb_renders_both(colours: Any, balanced: Tree) -> None:
 # --- stores and synthetic noise -----------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def clean(pristine: Tree) -> list[Path]:
-    return sorted((pristine.data / CAMERA).rglob("IMG_0001.dng"))
-
-
-def test_synthetic_pairs_have_their_clean_files_colours(clean: list[Path], tmp_path: Path) -> None:
-    folder = tmp_path / "clean"
-    folder.mkdir()
-    (folder / "one.dng").write_bytes(clean[0].read_bytes())
-    sensor = read_raw(clean[0]).sensor
-    for source in (CleanFrames(folder), CleanFrames(pack_folder(folder, tmp_path / "clean.h5").store)):
+def test_synthetic_pairs_have_their_clean_files_colours(pristine: Tree, tmp_path: Path) -> None:
+    (tmp_path / "clean").mkdir()
+    clean = Path(shutil.copy(pristine.file(1), tmp_path / "clean"))
+    sensor = read_raw(clean).sensor
+    for source in (CleanFrames(clean.parent), CleanFrames(pack_folder(clean.parent, tmp_path / "clean.h5").store)):
         pairs = SyntheticPairs(source, "SonyA7S2", crop=16, seed=3)
         pairs.set_epoch(0)
         plain, sample = pairs[0], rgb2rgb(pairs)[0]

@@ -48,12 +48,6 @@ def sid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def own(sid: Path, tmp_path: Path) -> Path:
-    """A copy of one's own."""
-    return Path(shutil.copytree(sid, tmp_path / "SID"))
-
-
 def some(camera: Any, root: Path, **options: Any) -> list[tuple[PairRecord, Sample]]:
     """The pairs whose files are there."""
     dataset = SIDDataset(root, camera=camera, scenes=SCENES[camera], **options)
@@ -90,9 +84,9 @@ def test_samples_equal_a_plain_route_bit_for_bit(camera: str, levels: str, clip:
 # --- fields -------------------------------------------------------------------------------------------------------
 
 
-def test_the_input_is_multiplied_by_the_nominal_ratio_as_published(own: Path) -> None:
+def test_the_input_is_multiplied_by_the_nominal_ratio_as_published(sid: Path, tmp_path: Path) -> None:
     """EXIF that has 0.033 s in place of 1/30: 303 by EXIF, 300 by the published rule."""
-    name = "Sony/short/10185_00_0.033s.ARW"
+    name, own = "Sony/short/10185_00_0.033s.ARW", Path(shutil.copytree(sid, tmp_path / "SID"))
     scale_exposure(own / name, Fraction(990, 1000))
     by = {}
     for amplification in ("nominal", "metadata"):

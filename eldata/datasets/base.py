@@ -142,7 +142,7 @@ class SourcePairs(CroppedItems[Sample]):
         yield Part("input", pair.input, gain=pair.gain, facts=_facts_of(record, pair))
 
     def _check_pairs(self) -> None:
-        """Refuse what is not a pair: a source that reads parts knows all but the pixels. One of each kind is opened."""
+        """Refuse frames that are no pair. One pair of each kind is opened, for the source knows all but the pixels."""
         kinds = set()
         numbers: dict[object, int] = {}
         # Of a reference once; by number, for to look at the hash of fractions takes longer than all else here.
@@ -158,7 +158,7 @@ class SourcePairs(CroppedItems[Sample]):
         return self._opener.open_pair(record, self._opener.open_target(record.reference))
 
     def _cached_pair(self, place: int) -> OpenedPair:
-        """Return a pair whose frames are open; those of a small set stay so."""
+        """Return a pair with open frames; the pairs of a small set stay open."""
         pair = self._pairs.get(place)
         if pair is None:
             if len(self._pairs) >= _MOST_OPEN:

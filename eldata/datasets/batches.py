@@ -127,7 +127,7 @@ class _Part(dict[str, Any]):
         return dict, (dict(self),)
 
     def is_whole(self) -> bool:
-        """Tell whether nobody has replaced a view by another tensor."""
+        """Tell whether every view is still the batch's own tensor."""
         return all(self.get(name) is view for name, view in self.views.items())
 
 
@@ -147,7 +147,7 @@ def _collate(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str,
 
 
 def _column(values: list[Any]) -> Any:
-    """Collate what is beside the large tensors as torch does, whose search for how takes most of the time."""
+    """Collate small values as torch does, without its search for the right way, which takes most of the time."""
     kinds = set(map(type, values))
     if kinds == {str}:
         return values
@@ -155,7 +155,7 @@ def _column(values: list[Any]) -> Any:
 
 
 def _reduce_batch(whole: _Part) -> tuple[Any, ...]:
-    """Reduce a collated batch to where it lies, and to the few numbers beside it: the queue sends no copy."""
+    """Reduce a collated batch to its place in memory and its small values, so that the queue sends no copy."""
     batch = whole.batch
     if whole.place is not None or not whole.is_whole() or not isinstance(batch.piece, _SharedPiece):
         return whole.__reduce__()

@@ -155,9 +155,9 @@ class ClipWindows(CroppedItems[ClipSample]):
         self._opener = PairOpener(source, levels, amplification, self.dark_shading)
         self.layout = describe_layout(chosen)
         self.clips = clips_of(chosen)
-        lone = [each.scene for each in self.clips if each.reference is None]
-        if self._is_paired and lone:
-            raise DatasetError(f"{place}: no reference of {len(lone)} clips: {', '.join(lone)}")
+        unpaired = [each.scene for each in self.clips if each.reference is None]
+        if self._is_paired and unpaired:
+            raise DatasetError(f"{place}: no reference of {len(unpaired)} clips: {', '.join(unpaired)}")
         self._row_of = {row.path: row for row in chosen}
         self.records: tuple[ClipRecord, ...] = tuple(
             record
@@ -230,7 +230,7 @@ class ClipWindows(CroppedItems[ClipSample]):
             del pair
 
     def _facts_of(self, record: ClipRecord, pair: OpenedPair) -> dict[str, Any]:
-        """Return the facts that stand in a sample beside its tensors."""
+        """Return the fields of a sample that are not tensors."""
         facts = {name: getattr(record, name) for name in ("camera", "scene", "split", "path", "start")}
         exposure, unknown = pair.input.exposure, math.nan
         facts["ratio"] = unknown if pair.ratio is None else float(pair.ratio)

@@ -152,7 +152,7 @@ class Crop:
     def draw(
         cls, frame: Frame, generator: np.random.Generator, *, crop: int | None, augment: bool, tile: int | None = None
     ) -> Crop:
-        """Draw a place, if it is not that of a tile, and with ``augment`` one of the eight orientations.
+        """Draw a place, unless a tile names it, and with ``augment`` one of the eight orientations.
 
         Parameters
         ----------
@@ -246,7 +246,7 @@ class Crop:
 
     @property
     def packed_shape(self) -> tuple[int, int, int]:
-        """That of the packed crop, (C, h, w)."""
+        """Shape of the packed crop, (C, h, w)."""
         return packed_shape((self.height, self.width), self.cfa) if self.cfa else (3, self.height, self.width)
 
     def turn(self, part: NDArray[Any]) -> NDArray[Any]:

@@ -109,7 +109,7 @@ def checked_index(index: int, length: int) -> int:
 
 
 class Part(NamedTuple):
-    """What is read for an item: the crop of a frame, times ``gain``, into a tensor or one place of it.
+    """One read of an item: the crop of a frame, times ``gain``, into a tensor or one place of it.
 
     ``is_light``: the frame stands for the light itself, so it lies in [0, 1] whatever the dataset's clip, which is of
     noisy frames. ``facts`` are those of the sample that are known once the frame is open.
@@ -221,7 +221,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
             )
 
     def set_epoch(self, epoch: int) -> None:
-        """Fix the draw of every item, in running workers too, until the next call: that of this epoch.
+        """Give every item the draw of this epoch, in running workers too, until the next call.
 
         Raises
         ------
@@ -283,7 +283,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         return getattr(self.source, "reads_parts", False)
 
     def _finish(self, items: Sequence[Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Make what is not read, of several items at once; the arrays have as many, one after the other."""
+        """Compute the tensors that are not read, for several items at once, whose arrays are stacked."""
 
     def _read_to_show(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
         """Read one item to be looked at, and the sensor of its target; raises like ``dataset[index]``."""

@@ -1,7 +1,7 @@
 """Dark frames as noise: the read noise of real bias frames, for component D of a noise model.
 
-What no formula says of a sensor (its fixed pattern, how the noise of neighbours goes together, banding, telegraph
-pixels) is in its dark frames. To add a whole one is to have all of it.
+Dark frames hold the noise that no formula describes: the fixed pattern, correlations of neighbours, banding, telegraph
+pixels. Adding a whole frame adds all of it.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class DarkFrames:
         self._scale = self._find_scales(shading_from)
 
     def _find_scales(self, shading_from: ShadingFrom) -> dict[float, float]:
-        """Return by ISO what is left of a frame is times, once the shading is known to be of these frames' sensor."""
+        """Find the factor of a frame less its shading, by ISO; refuse a shading of another sensor."""
         if self.shading is None:
             return {}
         scales = {}

@@ -102,10 +102,10 @@ class NoisyItems(CroppedItems[Sample]):
             draw = self.noise.draw(generator, range_dn, self._turns.at(place), gain_spread=GAIN_SPREAD)
             names = self._dark.names(draw.iso or 0.0)
             dark_frame = ", ".join(names[member] for member in draw.dark)
-        its = draw.parameters.range_dn
-        if self.range_dn is None and frame.sensor is not None and its is not None:  # arrays state whose range it is
-            both = f"range_dn={its:g} makes that camera's noise of it, range_dn={range_dn:g} takes its DN as they are"
-            check_scale(frame.name, frame.sensor, draw.camera, its, both)
+        own = draw.parameters.range_dn
+        if self.range_dn is None and frame.sensor is not None and own is not None:  # arrays state whose range it is
+            advice = f"range_dn={own:g} makes that camera's noise of it, range_dn={range_dn:g} takes its DN as they are"
+            check_scale(frame.name, frame.sensor, draw.camera, own, advice)
         parameters = draw.parameters.as_dict()
         parameters["colour_bias_dn"] = torch.from_numpy(np.array(draw.parameters.colour_bias_dn))  # faster than tensor
         of_noise = {"ratio": draw.ratio, "camera": draw.camera, "camera_id": draw.camera_id, "iso": draw.iso or 0.0}

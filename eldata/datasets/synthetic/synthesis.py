@@ -360,7 +360,7 @@ class _CleanFacts:
 
 @dataclass(frozen=True, slots=True)
 class _Draw:
-    """One noisy copy: what is drawn for it, from (seed, place of the file or clip, number of the copy) alone."""
+    """The draw of one noisy copy, from (seed, place of the file or clip, number of the copy) alone."""
 
     name: str
     parameters: NoiseParameters

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from eldata.datasets.clean import Arrays, CleanClips, CleanFrames
+from eldata.datasets.clean import Arrays, CleanClips, CleanFrames, clean_scenes
 from eldata.datasets.crops import Crop, turn_mosaic
 from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import DatasetError, EldataError
@@ -104,6 +105,16 @@ def test_the_frames_last_used_are_kept(folder: Path) -> None:
 def test_what_is_refused(work: Any, words: str, folder: Path) -> None:
     with pytest.raises(EldataError, match=words):
         work(folder)
+
+
+@in_one_test("names, may_be_clip", [("1 2 3", True), ("1 2 3 x", True), ("1 2 x y", False), ("x y", False)])
+def test_numbered_stills_may_be_a_clip(names: str, may_be_clip: bool, tmp_path_factory: pytest.TempPathFactory) -> None:
+    top = tmp_path_factory.mktemp("raws")
+    (top / "below").mkdir()
+    for name in names.split():
+        (top / "below" / f"{name}.dng").touch()
+    with pytest.raises(DatasetError, match="--no-clips") if may_be_clip else nullcontext():
+        assert len(clean_scenes([top], None, "*")) == len(names.split())
 
 
 # --- arrays ---------------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +15,6 @@ from eldata.errors import DatasetError, RawFileError
 from eldata.manifest.verify import verify
 from tests.datasets.comparing import pack_plainly, same_bits
 from tests.trees import Tree, scale_exposure
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 CAMERA_OF = {camera.name: camera for camera in CAMERAS}
 
@@ -64,40 +60,29 @@ def test_scalar_fields_are_the_records(pristine: Tree) -> None:
 def test_a_wrong_ratio_names_the_file(tree: Tree) -> None:
     scale_exposure(tree.file(4), Fraction(5, 4))
     dataset = demo(tree, cameras=["DemoAlpha"])
-    with pytest.raises(DatasetError, match="expected an exposure ratio of 100") as raised:
+    with pytest.raises(DatasetError, match=r"IMG_0004\.dng: expected an exposure ratio of 100 .* 80; .*eldata verify"):
         dataset[0]
-    assert str(tree.file(4)) in str(raised.value)
-    assert "80" in str(raised.value)
-    assert "eldata verify" in str(raised.value)
     dataset[1]  # its neighbour is fine
 
 
-@pytest.mark.parametrize("lost", ["noisy", "reference"])
-def test_a_missing_or_broken_file_is_named(tree: Tree, lost: str) -> None:
-    path = tree.file(4 if lost == "noisy" else 6)
-    dataset = demo(tree)
+@pytest.mark.parametrize("number", [4, 6])
+def test_a_missing_or_broken_file_is_named(tree: Tree, number: int) -> None:
+    """A noisy frame, a reference."""
+    path, dataset = tree.file(number), demo(tree)
     path.write_bytes(path.read_bytes()[:3000])
-    with pytest.raises(RawFileError) as raised:
+    with pytest.raises(RawFileError, match=str(path)):
         dataset[0]
-    assert str(path) in str(raised.value)
     path.unlink()
-    with pytest.raises(RawFileError, match="No such file") as raised:
+    with pytest.raises(RawFileError, match=f"{path}: .*No such file"):
         dataset[0]
-    assert str(path) in str(raised.value)
 
 
 # --- wrong arguments ----------------------------------------------------------------------------------------------
 
 
-def test_the_default_root(tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_default_root(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ELDATA_ROOT", str(tree.root))
     assert ELDDataset(manifest=tree.csv).root == tree.data
-    monkeypatch.delenv("ELDATA_ROOT")
-    monkeypatch.chdir(tree.root.parent)
-    assert len(ELDDataset(manifest=tree.csv)) == 12
-    monkeypatch.chdir(tree.data)
-    with pytest.raises(DatasetError, match=r"no such folder; give the folder of .*, which holds DemoAlpha, DemoBeta "):
-        ELDDataset(manifest=tree.csv)[0]
 
 
 def test_a_missing_camera_folder_says_what_to_choose(tree: Tree) -> None:

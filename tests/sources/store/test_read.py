@@ -148,6 +148,10 @@ def test_damaged_chunks_are_found(codec: Any, tmp_path: Path) -> None:
         own.write_bytes(content)
         assert [problem.path for problem in verify_store(own, level="full").problems] == ["0.dng"]
         refused(own, "frame 000000 is damaged", read_all)
+    entry = struct.pack("<2I4Q", place.size, 0, 0, 0, 0, place.byte_offset)  # in HDF5's index; a chunk of no bytes
+    assert whole.count(entry) == 1
+    (tmp_path / "other.h5").write_bytes(whole.replace(entry, bytes(4) + entry[4:]))
+    refused(tmp_path / "other.h5", "expected 4 chunks, found 3 chunks", read_all)
 
 
 def test_other_and_missing_pixels_are_found(own: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from eldata.base.tables import frame_of
 from eldata.datasets.crops import Crop
@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from eldata.sources.frames import Frame, FrameSource
     from eldata.sources.pairs import OpenedPair
 
-Side = Literal["input", "target"]
-SIDES: tuple[Side, ...] = get_args(Side)
+SIDES = ("input", "target")
 
 
 class Sample(TypedDict):
@@ -108,29 +107,25 @@ class SourcePairs(CroppedItems[Sample]):
     ) -> None:  # fmt: skip
         self.source = source
         self.records: tuple[PairRecord, ...] = Records(records)
-        self.name = name
-        cameras = (record.camera for record in self.records)
-        self._choose_values(levels, clip, amplification, dark_shading, cameras)
+        self.name = self._place = name
+        self._choose_values(levels, clip, amplification, dark_shading, (record.camera for record in self.records))
         self._opener = PairOpener(source, levels, amplification, self.dark_shading)
         self.crops_per_frame = crops_per_frame
         super().__init__(crop, augment, crops, seed, ("crops_per_frame", crops_per_frame))
         self._pairs: dict[int, OpenedPair] = {}
         if self.reads_parts:
             self._check_pairs()
-        outlined = cache(self._outlined)
-        self._count_items(len(self.records), (outlined(record.reference) for record in self.records))
+        like = cache(lambda path: self.source.frame(path).without_pixels())  # a reference may have several pairs
+        self._count_items(len(self.records), (like(record.reference) for record in self.records))
 
     @property
     def frame(self) -> pd.DataFrame:
         """The records as a pandas DataFrame, one row per pair, numbers as floats."""
         return frame_of(self.records)
 
-    def __len__(self) -> int:
-        return self._length_of(len(self.records))
-
-    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
+    def draw_item(self, place: int, generator: np.random.Generator) -> DrawnItem:
         """Draw a crop of pair ``place`` modulo their number, or of a grid its crop."""
-        number, tile = self._record_of(place, len(self.records))
+        number, tile = self._record_of(place)
         record = self.records[number]
         pair = self._cached_pair(number) if self.reads_parts else None
         target = self._opener.open_target(record.reference) if pair is None else pair.target
@@ -147,7 +142,7 @@ class SourcePairs(CroppedItems[Sample]):
         yield Part("input", pair.input, gain=pair.gain, facts=_facts_of(record, pair))
 
     def _check_pairs(self) -> None:
-        """Refuse what is not a pair: a source that reads parts knows all but the pixels. One of each kind is opened."""
+        """Refuse frames that are no pair. One pair of each kind is opened, for the source knows all but the pixels."""
         kinds = set()
         numbers: dict[object, int] = {}
         # Of a reference once; by number, for to look at the hash of fractions takes longer than all else here.
@@ -159,14 +154,11 @@ class SourcePairs(CroppedItems[Sample]):
                 kinds.add(kind)
                 self._open_pair(record)
 
-    def _outlined(self, path: str) -> Frame:
-        return self.source.frame(path).without_pixels()
-
     def _open_pair(self, record: PairRecord) -> OpenedPair:
         return self._opener.open_pair(record, self._opener.open_target(record.reference))
 
     def _cached_pair(self, place: int) -> OpenedPair:
-        """Return a pair whose frames are open; those of a small set stay so."""
+        """Return a pair with open frames; the pairs of a small set stay open."""
         pair = self._pairs.get(place)
         if pair is None:
             if len(self._pairs) >= _MOST_OPEN:
@@ -181,7 +173,7 @@ class SourcePairs(CroppedItems[Sample]):
         scenes = len({(record.camera, record.scene) for record in self.records})
         named = (("cameras", "camera"), ("splits", "split"), ("ISO", "iso"), ("ratios", "ratio"))
         return [
-            ("place", self._place()),
+            ("place", self._place),
             ("pairs", f"{len(self.records)} of {scenes} scenes"),
             *((name, self._values(field)) for name, field in named),
             ("values", self._describe_values()),
@@ -193,9 +185,6 @@ class SourcePairs(CroppedItems[Sample]):
         distinct = dict.fromkeys(getattr(record, field) for record in self.records)
         texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]
         return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)} values"
-
-    def _place(self) -> str:
-        return self.name
 
 
 class PairDataset(SourcePairs):
@@ -284,9 +273,7 @@ class PairDataset(SourcePairs):
         files = Files(FrameFiles.of(self.root, loaded.card, loaded.records), loaded.records, loaded.card)
         options["levels"] = levels or default_protocol(loaded.card).frame_levels
         super().__init__(files, records, name=loaded.name, **options)
-
-    def _place(self) -> str:
-        return str(self.root)
+        self._place = str(self.root)
 
 
 def _kind_of(frame: Frame) -> tuple[object, ...]:

@@ -3,7 +3,7 @@
 torch's default way costs more than the reading: each sample is made, copied into a batch in new shared memory, whose
 pages the system must clear, and each small tensor is sent through a socket of its own. Here ``dataset.__getitems__``,
 which DataLoaders call with all indices of a batch, writes every sample into its place in one piece of shared memory;
-torch's default collate finds the batch ready (:func:`_collated`, by torch's documented ``default_collate_fn_map``). The
+torch's default collate finds the batch ready (:func:`_collate`, by torch's documented ``default_collate_fn_map``). The
 main process's tensors lie in the same memory. When the last of them is gone, the worker uses it for another batch.
 
 With a collate function of one's own, or where the system has no ``memfd_create``, all works as with any dataset. Single
@@ -127,11 +127,11 @@ class _Part(dict[str, Any]):
         return dict, (dict(self),)
 
     def is_whole(self) -> bool:
-        """Tell whether nobody has replaced a view by another tensor."""
+        """Tell whether every view is still the batch's own tensor."""
         return all(self.get(name) is view for name, view in self.views.items())
 
 
-def _collated(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str, Any]:
+def _collate(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str, Any]:
     """Collate as torch does; the parts of one batch, in order, are collated already."""
     del collate_fn_map
     batch = parts[0].batch
@@ -147,31 +147,31 @@ def _collated(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str
 
 
 def _column(values: list[Any]) -> Any:
-    """Collate what is beside the large tensors as torch does, whose search for how takes most of the time."""
+    """Collate small values as torch does, without its search for the right way, which takes most of the time."""
     kinds = set(map(type, values))
     if kinds == {str}:
         return values
     return torch.from_numpy(np.array(values)) if kinds in ({float}, {int}) else default_collate(values)
 
 
-def _sent(whole: _Part) -> tuple[Any, ...]:
-    """Reduce a collated batch to where it lies, and to the few numbers beside it: the queue sends no copy."""
+def _reduce_batch(whole: _Part) -> tuple[Any, ...]:
+    """Reduce a collated batch to its place in memory and its small values, so that the queue sends no copy."""
     batch = whole.batch
     if whole.place is not None or not whole.is_whole() or not isinstance(batch.piece, _SharedPiece):
         return whole.__reduce__()
-    others = {name: _as_array(value) for name, value in whole.items() if name not in batch.tensors}
-    return _received, (batch.piece.sent(), batch.piece.size, batch.fields, others, tuple(whole))
+    others = {
+        name: value.numpy() if isinstance(value, torch.Tensor) else value
+        for name, value in whole.items()
+        if name not in batch.tensors
+    }
+    return _receive_batch, (batch.piece.duplicate_descriptor(), batch.piece.size, batch.fields, others, tuple(whole))
 
 
-def _as_array(value: Any) -> Any:
-    return value.numpy() if isinstance(value, torch.Tensor) else value
+default_collate_fn_map[_Part] = _collate
+ForkingPickler.register(_Part, _reduce_batch)
 
 
-default_collate_fn_map[_Part] = _collated
-ForkingPickler.register(_Part, _sent)
-
-
-def _received(
+def _receive_batch(
     descriptor: Any, size: int, fields: tuple[Field, ...], others: Mapping[str, Any], order: tuple[str, ...]
 ) -> dict[str, Any]:
     """Return a batch that another process wrote: unpickled, in the process that reads it."""
@@ -217,10 +217,10 @@ class _Piece:
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._memory = self._mapped()
+        self._memory = self._map_memory()
         self._lease: weakref.ref[_Lease] | None = None
 
-    def _mapped(self) -> mmap.mmap:
+    def _map_memory(self) -> mmap.mmap:
         private = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
         return mmap.mmap(-1, self.size, **private)
 
@@ -245,13 +245,13 @@ class _SharedPiece(_Piece):
         self._times_sent = 0
         super().__init__(size)
 
-    def _mapped(self) -> mmap.mmap:
+    def _map_memory(self) -> mmap.mmap:
         self._descriptor = os.memfd_create("eldata-batch", os.MFD_CLOEXEC)
         weakref.finalize(self, os.close, self._descriptor).atexit = False
         os.ftruncate(self._descriptor, self.size)
         return mmap.mmap(self._descriptor, self.size)
 
-    def sent(self) -> Any:
+    def duplicate_descriptor(self) -> Any:
         """Return the piece's descriptor for another process, which will hold it."""
         from multiprocessing.reduction import DupFd  # only where there is memfd_create, so not on Windows
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
@@ -106,7 +106,6 @@ class CalibrationFrames:
         isos: Collection[int] | None = None,
     ) -> None:
         self.skipped: tuple[str, ...] = ()
-        stated = None
         if manifest is not None:
             loaded = known_manifest(str(manifest)) if is_name(manifest) else load_manifest(manifest)
             self.root = loaded.own_folder(root)
@@ -115,17 +114,17 @@ class CalibrationFrames:
                 for record in expand(loaded.records, self.root)
                 if record.role in _ROLES and WARM_SENSOR not in record.flags
             )
-            self.camera = chosen_camera(camera, {record.camera for record in records}, str(loaded.path))
-            stated = FrameFiles.of(self.root, loaded.card, records)
+            self.camera = choose_camera(camera, {record.camera for record in records}, str(loaded.path))
+            self._files = FrameFiles.of(self.root, loaded.card, records)
             records = tuple(record for record in records if record.camera == self.camera)
             for record in records:
                 if record.iso is None:
                     raise DatasetError(f"{loaded.path}, {record.path}: a calibration frame's row needs its ISO")
         else:
             self.root = data_root() / _FOLDER if root is None else Path(root)
-            self.camera, records, self.skipped = _from_folders(self.root, camera)
-        self.records = _of_isos(records, isos)
-        self._files = stated or FrameFiles(self.root)
+            self._files = FrameFiles(self.root)
+            self.camera, records, self.skipped = _find_in_folders(self.root, camera)
+        self.records = _keep_isos(records, isos)
 
     @property
     def isos(self) -> tuple[Fraction, ...]:
@@ -148,7 +147,7 @@ class CalibrationFrames:
 
     def file(self, record: FrameRecord) -> Path | StatedFile:
         """Return a frame's file, of a mosaic with what its card states; raises like :meth:`path`."""
-        return replace(self._files, folder=self.root).at(record.path)
+        return self._files.at(record.path)
 
     def header(self, record: FrameRecord) -> RawHeader:
         """Read the header of one frame's file; raises like :meth:`read`."""
@@ -256,7 +255,7 @@ def flat_pairs(flats: Collection[FrameRecord]) -> tuple[tuple[FlatPair, ...], tu
 # --- finding --------------------------------------------------------------------------------------------------
 
 
-def chosen_camera(wanted: str | None, found: Collection[str], where: str) -> str:
+def choose_camera(wanted: str | None, found: Collection[str], where: str) -> str:
     """Return the camera that is wanted, or the only one of those found; raises a DatasetError that lists them."""
     listed = ", ".join(sorted(found))
     if not found:
@@ -270,7 +269,7 @@ def chosen_camera(wanted: str | None, found: Collection[str], where: str) -> str
     return wanted
 
 
-def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecord, ...], tuple[str, ...]]:
+def _find_in_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecord, ...], tuple[str, ...]]:
     layout = "<camera>/bias/ISO100/..., <camera>/flat/ISO100/..., one folder per ISO"
     problem = folder_problem(root)
     if problem is not None:
@@ -282,7 +281,7 @@ def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecor
         cameras = [path.name for path in places if any((path / role).is_dir() for role in _ROLES)]
         if not cameras:
             raise DatasetError(f"{root}: holds no folder bias or flat, nor a camera's with them; expected {layout}")
-        name = chosen_camera(camera, cameras, str(root))
+        name = choose_camera(camera, cameras, str(root))
         prefix = f"{name}/"
     records: list[FrameRecord] = []
     skipped: list[str] = []
@@ -313,7 +312,7 @@ def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecor
     return name, tuple(sorted(records, key=lambda record: record.path)), tuple(skipped)
 
 
-def _of_isos(records: tuple[FrameRecord, ...], isos: Collection[int] | None) -> tuple[FrameRecord, ...]:
+def _keep_isos(records: tuple[FrameRecord, ...], isos: Collection[int] | None) -> tuple[FrameRecord, ...]:
     if isos is None:
         return records
     known = sorted({record.iso for record in records if record.iso is not None})

@@ -129,7 +129,7 @@ class CleanFrames:
     def __len__(self) -> int:
         return len(self.names)
 
-    def opened(self, index: int) -> Frame:
+    def open_frame(self, index: int) -> Frame:
         """Open one frame; a file is decoded, of a store nothing is read yet."""
         frame = self._opened.get(index)
         if frame is None:
@@ -143,10 +143,10 @@ class CleanFrames:
     def frame(self, index: int) -> Frame:
         """Return one frame: one of those that are kept, or opened."""
         if not self.keep:
-            return self.opened(index)
+            return self.open_frame(index)
         kept = self._kept.pop(index, None)  # threads may read side by side, and find what another one just took
         if kept is None:
-            opened = self.opened(index)
+            opened = self.open_frame(index)
             kept = replace(opened, mosaic=opened.whole()) if self.reads_parts else opened
         self._kept[index] = kept
         while len(self._kept) > self.keep:
@@ -448,7 +448,7 @@ def clip_files(source: Path | str, reference: str | None = None) -> list[Sequenc
     folders: dict[Path, dict[str, Path | StatedFile]] = {}
     for file in clean_files(source, reference):
         folders.setdefault(_path_of(file).parent, {})[_path_of(file).name] = file
-    return [[files[name] for name in _in_order(folder, files)] for folder, files in sorted(folders.items())]
+    return [[files[name] for name in _order_names(folder, files)] for folder, files in sorted(folders.items())]
 
 
 def _clips_of(source: Store, levels: Levels) -> Iterator[CleanFrames]:
@@ -459,11 +459,11 @@ def _clips_of(source: Store, levels: Levels) -> Iterator[CleanFrames]:
         place = PurePosixPath(frame.path)
         folders.setdefault(place.parent, []).append(place.name)
     for folder, names in sorted(folders.items()):
-        paths = [str(folder / name) for name in _in_order(source.path / folder, names)]
+        paths = [str(folder / name) for name in _order_names(source.path / folder, names)]
         yield CleanFrames(source, names=paths, levels=levels)
 
 
-def _in_order(folder: PurePosixPath | Path, names: Iterable[str]) -> tuple[str, ...]:
+def _order_names(folder: PurePosixPath | Path, names: Iterable[str]) -> tuple[str, ...]:
     """Return the names of a clip's frames in the order of their numbers."""
     sequence = sequence_of(names)
     if sequence.odd or sequence.doubles or sequence.gaps:

@@ -146,7 +146,6 @@ class ClipWindows(CroppedItems[ClipSample]):
             raise ArgumentError(f"region must be (top, left, height, width), the sizes above 0; found {self.region}")
         if self.region is not None and crop is not None:
             raise ArgumentError("give a region or a crop, not both")
-        self.crops_per_window = crops_per_window
         super().__init__(crop, augment, crops, seed, ("crops_per_window", crops_per_window))
         self.source = source
         self.root = place
@@ -156,9 +155,9 @@ class ClipWindows(CroppedItems[ClipSample]):
         self._opener = PairOpener(source, levels, amplification, self.dark_shading)
         self.layout = describe_layout(chosen)
         self.clips = clips_of(chosen)
-        lone = [each.scene for each in self.clips if each.reference is None]
-        if self._is_paired and lone:
-            raise DatasetError(f"{place}: no reference of {len(lone)} clips: {', '.join(lone)}")
+        unpaired = [each.scene for each in self.clips if each.reference is None]
+        if self._is_paired and unpaired:
+            raise DatasetError(f"{place}: no reference of {len(unpaired)} clips: {', '.join(unpaired)}")
         self._row_of = {row.path: row for row in chosen}
         self.records: tuple[ClipRecord, ...] = tuple(
             record
@@ -192,12 +191,9 @@ class ClipWindows(CroppedItems[ClipSample]):
 
         return pd.DataFrame([asdict(record) | {"frames": list(record.frames)} for record in self.records])
 
-    def __len__(self) -> int:
-        return self._length_of(len(self.records))
-
-    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
+    def draw_item(self, place: int, generator: np.random.Generator) -> DrawnItem:
         """Draw a crop of window ``place`` modulo their number, or of a grid its crop."""
-        number, tile = self._record_of(place, len(self.records))
+        number, tile = self._record_of(place)
         record = self.records[number]
         first = self._opener.open_target(record.reference or record.path)
         if self.region is not None:
@@ -234,7 +230,7 @@ class ClipWindows(CroppedItems[ClipSample]):
             del pair
 
     def _facts_of(self, record: ClipRecord, pair: OpenedPair) -> dict[str, Any]:
-        """Return the facts that stand in a sample beside its tensors."""
+        """Return the fields of a sample that are not tensors."""
         facts = {name: getattr(record, name) for name in ("camera", "scene", "split", "path", "start")}
         exposure, unknown = pair.input.exposure, math.nan
         facts["ratio"] = unknown if pair.ratio is None else float(pair.ratio)
@@ -259,8 +255,8 @@ class ClipWindows(CroppedItems[ClipSample]):
         return pair
 
     @property
-    def _cut(self) -> str:
-        return super()._cut if self.region is None else f"region={self.region}"
+    def _crop_text(self) -> str:
+        return super()._crop_text if self.region is None else f"region={self.region}"
 
     def _outline(self) -> list[tuple[str, str]]:
         return [

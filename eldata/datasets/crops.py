@@ -42,7 +42,7 @@ class Orientation:
 ORIENTATIONS = tuple(Orientation(*flags) for flags in product((False, True), repeat=3))
 
 
-def oriented(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation) -> NDArray[Scalar]:
+def turn_mosaic(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation) -> NDArray[Scalar]:
     """Return a view of a mosaic (H, W) in an orientation, its CFA as before.
 
     The view has lost up to one period less one of rows at the top and of columns at the left; the caller crops it.
@@ -56,22 +56,22 @@ def oriented(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation) ->
     if mosaic.ndim != 2 or any(side % period for side in mosaic.shape):
         raise ArgumentError(f"expected a mosaic whose sides are multiples of {period}; found shape {mosaic.shape}")
     top, left = _offset(cfa, orientation)
-    return _turned(mosaic, orientation)[top:, left:]
+    return _flip(mosaic, orientation)[top:, left:]
 
 
-def copy_oriented(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation, copy: NDArray[Scalar]) -> None:
-    """Fill ``copy`` (height, width) with ``oriented(mosaic, cfa, orientation)[:height, :width]``.
+def copy_turned(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation, copy: NDArray[Scalar]) -> None:
+    """Fill ``copy`` (height, width) with ``turn_mosaic(mosaic, cfa, orientation)[:height, :width]``.
 
     Packing reads rows: from a transposed view it takes ten times as long as this copy and the packing of it.
 
     Raises
     ------
     ArgumentError
-        As :func:`oriented`; or if the turned mosaic is smaller than that.
+        As :func:`turn_mosaic`; or if the turned mosaic is smaller than that.
     """
     from eldata.raw._kernels import mirror, transpose
 
-    view = oriented(mosaic, cfa, orientation)
+    view = turn_mosaic(mosaic, cfa, orientation)
     if copy.shape[0] > view.shape[0] or copy.shape[1] > view.shape[1]:
         raise ArgumentError(f"a turned mosaic of {view.shape} pixels does not fill {copy.shape}")
     # What the view lost at the top and left, it lost at these ends of the mosaic.
@@ -87,7 +87,7 @@ def copy_oriented(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientatio
     turn(with_rows(part), copy, orientation.flip_rows, orientation.flip_columns)
 
 
-def turned_levels(levels: tuple[float, ...], orientation: Orientation) -> tuple[float, ...]:
+def turn_levels(levels: tuple[float, ...], orientation: Orientation) -> tuple[float, ...]:
     """Return the levels of a CFA's channels, 3 for X-Trans and else 4, as the channels of the turned mosaic have them.
 
     The first green is the one in red's rows. A flip leaves it there; a transpose swaps the two greens and their black
@@ -99,7 +99,7 @@ def turned_levels(levels: tuple[float, ...], orientation: Orientation) -> tuple[
     return red, second, blue, first
 
 
-def _turned(array: NDArray[Scalar], orientation: Orientation) -> NDArray[Scalar]:
+def _flip(array: NDArray[Scalar], orientation: Orientation) -> NDArray[Scalar]:
     turned = array.T if orientation.transpose else array
     return turned[:: -1 if orientation.flip_rows else 1, :: -1 if orientation.flip_columns else 1]
 
@@ -109,7 +109,7 @@ def _offset(cfa: CfaRows, orientation: Orientation) -> tuple[int, int]:
     pattern = np.asarray(cfa)
     # Which of the two greens is which follows from the place: they are told apart again after the turn.
     colours = np.where(pattern == 3, 1, pattern)
-    turned = _turned(colours, orientation)
+    turned = _flip(colours, orientation)
     period = len(cfa)
     for top, left in sorted(product(range(period), repeat=2), key=sum):
         if np.array_equal(np.roll(turned, (-top, -left), axis=(0, 1)), colours):
@@ -152,7 +152,7 @@ class Crop:
     def draw(
         cls, frame: Frame, generator: np.random.Generator, *, crop: int | None, augment: bool, tile: int | None = None
     ) -> Crop:
-        """Draw a place, if it is not that of a tile, and with ``augment`` one of the eight orientations.
+        """Draw a place, unless a tile names it, and with ``augment`` one of the eight orientations.
 
         Parameters
         ----------
@@ -175,13 +175,10 @@ class Crop:
         orientation = ORIENTATIONS[int(generator.integers(len(ORIENTATIONS)))] if augment else _AS_IT_IS
         area, period, scale, cfa = _grid(frame.shape, frame.cfa)
         margin = period if augment and frame.cfa else 0
-        height = area.height - margin if crop is None else crop * scale
-        width = area.width - margin if crop is None else crop * scale
-        if orientation.transpose and crop is None:
-            height, width = width, height
-        if height % period or width % period:
+        rows, columns = (area.height - margin, area.width - margin) if crop is None else (crop * scale, crop * scale)
+        if rows % period or columns % period:
             raise ArgumentError(f"crop must be even for X-Trans; found {crop}")
-        rows, columns = (width, height) if orientation.transpose else (height, width)
+        height, width = (columns, rows) if orientation.transpose else (rows, columns)
         if rows + margin > area.height or columns + margin > area.width or min(rows, columns) <= 0:
             raise DatasetError(
                 f"{frame.name}: {area.height} x {area.width} pixels are too few for a crop of {rows + margin} x "
@@ -249,10 +246,10 @@ class Crop:
 
     @property
     def packed_shape(self) -> tuple[int, int, int]:
-        """That of the packed crop, (C, h, w)."""
+        """Shape of the packed crop, (C, h, w)."""
         return packed_shape((self.height, self.width), self.cfa) if self.cfa else (3, self.height, self.width)
 
-    def turned(self, part: NDArray[Any]) -> NDArray[Any]:
+    def turn(self, part: NDArray[Any]) -> NDArray[Any]:
         """Return the crop, turned, from the part of the mosaic (or of one plane) that :attr:`slices` name.
 
         It lies in memory that the thread's next call may overwrite.
@@ -260,24 +257,24 @@ class Crop:
         cfa = self.cfa or _NO_CFA
         kind = _TURNED.get(part.dtype)
         if kind is None or self.orientation == _AS_IT_IS:
-            return oriented(part, cfa, self.orientation)[: self.height, : self.width]
+            return turn_mosaic(part, cfa, self.orientation)[: self.height, : self.width]
         copy = scratch("turned", (self.height, self.width), kind)
-        copy_oriented(part, cfa, self.orientation, copy)
+        copy_turned(part, cfa, self.orientation, copy)
         return copy
 
     def cut(self, frame: Frame) -> NDArray[Any]:
         """Return the crop of a mosaic in DN, turned, to be used before the thread reads the next frame."""
-        return self.turned(frame.read(*self.slices))
+        return self.turn(frame.read(*self.slices))
 
     def levels(self, levels_dn: tuple[float, ...]) -> tuple[float, ...]:
         """Return the levels of the turned crop's channels, given the frame's."""
-        return turned_levels(levels_dn, self.orientation)
+        return turn_levels(levels_dn, self.orientation)
 
     def fill(self, frame: Frame, out: NDArray[np.float32], *, clip: Clip = "both", gain: float = 1.0) -> None:
         """Write the crop of a frame into ``out`` (C, h, w): packed, normalised, amplified; RGB divided by 65535."""
         if not self.cfa:
             for plane, target in zip(frame.read(*self.slices), out, strict=True):
-                np.divide(self.turned(plane), np.float32(RGB_WHITE), out=target)
+                np.divide(self.turn(plane), np.float32(RGB_WHITE), out=target)
             return
         cut, black, white = self.cut(frame), self.levels(frame.black_level_dn), frame.white_level_dn
         corrected = cut.dtype != np.uint16

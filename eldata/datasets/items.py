@@ -1,6 +1,6 @@
 """Items: crops drawn from (seed, draw, index), and read from frames of any source.
 
-A dataset's ``drawn`` says what an item is: which crop of which frames goes where, and the facts beside the pixels.
+A dataset's ``draw_item`` says what an item is: which crop of which frames goes where, and the facts beside the pixels.
 :class:`CroppedItems` reads its parts in order, by several threads where the source allows it, into memory that is used
 again, one by one or as whole batches.
 """
@@ -73,13 +73,8 @@ class SharedDraws:
         # 0, or one more than the epoch that is set; then how often each item was asked for.
         self._memory = torch.zeros(1 + items, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
 
-    @property
-    def epoch(self) -> int | None:
-        """The epoch, ``None`` if none is set."""
-        return int(self._memory[0]) - 1 if self._memory[0] else None
-
-    @epoch.setter
-    def epoch(self, epoch: int) -> None:
+    def set_epoch(self, epoch: int) -> None:
+        """Fix the draw of every item."""
         self._memory[0] = epoch + 1
 
     def next_of(self, index: int) -> int:
@@ -114,7 +109,7 @@ def checked_index(index: int, length: int) -> int:
 
 
 class Part(NamedTuple):
-    """What is read for an item: the crop of a frame, times ``gain``, into a tensor or one place of it.
+    """One read of an item: the crop of a frame, times ``gain``, into a tensor or one place of it.
 
     ``is_light``: the frame stands for the light itself, so it lies in [0, 1] whatever the dataset's clip, which is of
     noisy frames. ``facts`` are those of the sample that are known once the frame is open.
@@ -225,36 +220,31 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
                 f"{len(several)} cameras: {', '.join(several)}; choose one with cameras=[...]"
             )
 
-    @property
-    def epoch(self) -> int | None:
-        """The epoch that was set; ``None``: draws go on by themselves."""
-        return self._draws.epoch
-
     def set_epoch(self, epoch: int) -> None:
-        """Fix the draw of every item, in running workers too, until the next call: that of this epoch.
+        """Give every item the draw of this epoch, in running workers too, until the next call.
 
         Raises
         ------
         ArgumentError
             If it is not a whole number from 0 up to below 2^32.
         """
-        self._draws.epoch = checked_epoch(epoch)
+        self._draws.set_epoch(checked_epoch(epoch))
 
     def _count_items(self, records: int, frames: Iterable[Frame]) -> None:
         """Count the items: of a grid its crops, in a frame of each record."""
         if self.crops == "grid" and self.crop is not None:
             counts = (Crop.count_tiles(frame, crop=self.crop, augment=self.augment) for frame in frames)
             self._starts = list(accumulate(counts, initial=0))
-        self._draws = SharedDraws(self._length_of(records))
+        self._records_count = records
+        self._draws = SharedDraws(len(self))
 
-    def _length_of(self, records: int) -> int:
-        """Return the number of items: the grid's crops, or as many for each record."""
-        return records * self._repeats if self._starts is None else self._starts[-1]
+    def __len__(self) -> int:
+        return self._records_count * self._repeats if self._starts is None else self._starts[-1]
 
-    def _record_of(self, place: int, records: int) -> tuple[int, int | None]:
+    def _record_of(self, place: int) -> tuple[int, int | None]:
         """Return the record that an item is of, and which crop of its grid."""
         if self._starts is None:
-            return place % records, None
+            return place % self._records_count, None
         index = place % self._starts[-1]
         record = bisect_right(self._starts, index) - 1
         return record, index - self._starts[record]
@@ -264,13 +254,13 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         return range(record, record + 1) if self._starts is None else range(*self._starts[record : record + 2])
 
     @property
-    def _cut(self) -> str:
+    def _crop_text(self) -> str:
         """The choice of crops, in words."""
         grid = f", crops={self.crops!r}" if self._starts is not None else ""
         return f"crop={self.crop}, augment={self.augment}{grid}"
 
     @abstractmethod
-    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
+    def draw_item(self, place: int, generator: np.random.Generator) -> DrawnItem:
         """Draw an item; ``place`` is its index, and its number of items more for each draw before."""
 
     @property
@@ -279,16 +269,13 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         return self.crop is None and not self.reads_parts
 
     def item(self, index: int) -> Any:
-        """Draw an item from (seed, draw, index): what :meth:`drawn` returns."""
+        """Draw an item from (seed, draw, index): what :meth:`draw_item` returns."""
         length = len(self)
         index = checked_index(index, length)
         draw = self._draws.next_of(index)
-        return self.drawn(index + draw * length, item_generator(self.seed, draw, index))
+        return self.draw_item(index + draw * length, item_generator(self.seed, draw, index))
 
     # --- reading -----------------------------------------------------------------------------------------------------
-
-    @abstractmethod
-    def __len__(self) -> int: ...
 
     @property
     def reads_parts(self) -> bool:
@@ -296,9 +283,9 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         return getattr(self.source, "reads_parts", False)
 
     def _finish(self, items: Sequence[Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Make what is not read, of several items at once; the arrays have as many, one after the other."""
+        """Compute the tensors that are not read, for several items at once, whose arrays are stacked."""
 
-    def _seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
+    def _read_to_show(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
         """Read one item to be looked at, and the sensor of its target; raises like ``dataset[index]``."""
         with keep_counts():
             item = self.item(index)
@@ -321,13 +308,13 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         """
         from eldata.plots.pictures import side_by_side
 
-        sample, sensor = self._seen(index)
+        sample, sensor = self._read_to_show(index)
         return side_by_side(describe_sample(sample), render_sample(sample, sensor))
 
     def _outline(self) -> list[tuple[str, str]]:
         """Describe the dataset by names and values: all that its items depend on, for a repr is known again."""
         repeats = f"{self._repeats_name}={self._repeats}"
-        return [("items", f"{len(self)} {self._unit}, {self._cut}, {repeats}, seed={self.seed}")]
+        return [("items", f"{len(self)} {self._unit}, {self._crop_text}, {repeats}, seed={self.seed}")]
 
     def _describe_values(self) -> str:
         shading = "" if self.dark_shading is None else f", dark_shading={self.dark_shading.digest[:15]}"
@@ -337,7 +324,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         return f"{type(self).__name__}({in_line('; '.join(f'{name}: {text}' for name, text in self._outline()))})"
 
     def _repr_html_(self) -> str:
-        return show_dataset(type(self).__name__, self._outline(), self._seen if len(self) else None)
+        return show_dataset(type(self).__name__, self._outline(), self._read_to_show if len(self) else None)
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[index] for index in range(len(self)))
@@ -427,19 +414,20 @@ def render_sample(sample: Mapping[str, Any], sensor: Sensor | None) -> list[Pane
     """
     from eldata.isp.rendering import brightening
 
-    sides = {name: _first(np.asarray(sample[name])) for name in ("input", "target") if name in sample}
+    arrays = {name: np.asarray(sample[name]) for name in ("input", "target") if name in sample}
+    sides = {name: array if array.ndim == 3 else array[0] for name, array in arrays.items()}
     brighter = brightening(sides.get("target", sides["input"]))
     more = "" if brighter == 1 else f", {brighter:g} times as bright"
     ratio = sample.get("ratio", 1.0)
     names = {"input": f"input ×{ratio:g}" if math.isfinite(ratio) and ratio != 1 else "input", "target": "target"}
-    panels: list[Panel] = [(names[side] + more, _rendered(array * brighter, sensor)) for side, array in sides.items()]
+    panels: list[Panel] = [(names[side] + more, _render(array * brighter, sensor)) for side, array in sides.items()]
     if len(sides) == 2 and sides["input"].shape == sides["target"].shape:
         panels.append(("absolute error, mean of channels", np.abs(sides["input"] - sides["target"]).mean(axis=0)))
     return panels
 
 
 def show_dataset(
-    name: str, outline: Sequence[tuple[str, str]], seen: Callable[[], tuple[dict[str, Any], Sensor | None]] | None
+    name: str, outline: Sequence[tuple[str, str]], read: Callable[[], tuple[dict[str, Any], Sensor | None]] | None
 ) -> str:
     """Return a dataset as a notebook shows it: what it is, and its first item in small, or why that cannot be read."""
     from eldata.base.tables import block, picture, table
@@ -447,8 +435,8 @@ def show_dataset(
 
     parts, notes = [table((), outline, left=(0, 1))], []
     try:
-        if seen is not None:
-            sample, sensor = seen()
+        if read is not None:
+            sample, sensor = read()
             panels = [panel for panel in render_sample(sample, sensor) if panel[1].ndim == 3]
             parts += [picture(thumbnail(pixels, _THUMBNAIL), text) for text, pixels in panels]
             notes = [f"first item: {line}" for line in describe_sample(sample).splitlines()[:1]]
@@ -457,12 +445,7 @@ def show_dataset(
     return block(name, *parts, notes=notes)
 
 
-def _first(array: NDArray[Any]) -> NDArray[Any]:
-    """Return (C, h, w) as it is, and of (T, C, h, w) the first frame."""
-    return array if array.ndim == 3 else array[0]
-
-
-def _rendered(values: NDArray[Any], sensor: Sensor | None) -> NDArray[np.uint8]:
+def _render(values: NDArray[Any], sensor: Sensor | None) -> NDArray[np.uint8]:
     """Return (C, h, w) as 8-bit colours: packed raw as a quick rendering, three colours as they are."""
     if len(values) != 3:
         from eldata.isp.rendering import preview

@@ -31,19 +31,14 @@ from eldata.errors import ArgumentError, check_choice
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from multiprocessing.context import BaseContext
 
     from torch.utils.data import Dataset
-
-# Imported once by the server that workers are forked from, for it would take seconds in each worker.
-_PRELOADED = ("eldata.datasets._preloaded",)
 
 # Keep these random numbers apart from each other and from the items', (seed, epoch, index).
 _ORDER, _WORKERS = 1, 2
 
 
 StartMethod = Literal["forkserver", "spawn", "fork"]
-START_METHODS: tuple[StartMethod, ...] = get_args(StartMethod)
 
 
 def training_loader(
@@ -127,7 +122,7 @@ def describe(loader: DataLoader[Any]) -> str:
     ArgumentError
         If the loader was not made here.
     """
-    return "\n".join(_known(loader).why)
+    return "\n".join(_require_ours(loader).why)
 
 
 def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> None:
@@ -142,7 +137,7 @@ def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> N
         If the loader was not made here, the epoch is not a whole number from 0 up to below 2^32, or there is a first
         batch but the loader is not one for training.
     """
-    known = _known(loader)
+    known = _require_ours(loader)
     epoch = checked_epoch(epoch)
     checked_whole("first_batch", first_batch, at_least=0)
     if isinstance(loader.sampler, ShuffledSampler):
@@ -163,7 +158,7 @@ def _parts(dataset: Any) -> Iterator[Any]:
         yield from _parts(part)
 
 
-def _known(loader: DataLoader[Any]) -> _Loader:
+def _require_ours(loader: DataLoader[Any]) -> _Loader:
     if not isinstance(loader, _Loader):
         raise ArgumentError("expected a loader from training_loader or evaluation_loader, found another DataLoader")
     return loader
@@ -187,7 +182,7 @@ class _Loader(DataLoader[Any]):
         if batch_size < 1 or prefetch < 1:
             raise ArgumentError(f"batch_size and prefetch must be 1 or more; found {batch_size}, {prefetch}")
         self.seed = checked_seed(seed)
-        check_choice("start_method", start_method, START_METHODS)
+        check_choice("start_method", start_method, get_args(StartMethod))
         if start_method not in multiprocessing.get_all_start_methods():
             raise ArgumentError(f"this system has no start method {start_method!r}; take 'spawn'")
         self.rank = rank = rank or current_rank()
@@ -196,14 +191,14 @@ class _Loader(DataLoader[Any]):
         if is_training:
             sampler = ShuffledSampler(length, seed=self.seed, rank=rank)
         items = len(sampler)
-        if is_training and items < batch_size:
-            raise ArgumentError(
-                f"{items} items for rank {rank.number} of {rank.of} do not fill a batch of {batch_size}; take a "
-                "smaller batch_size, or more crops per frame"
-            )
         if is_training:
+            if items < batch_size:
+                raise ArgumentError(
+                    f"{items} items for rank {rank.number} of {rank.of} do not fill a batch of {batch_size}; take a "
+                    "smaller batch_size, or more crops per frame"
+                )
             left = items % batch_size
-            told = [
+            reasons = [
                 f"training: {items} items in {items // batch_size} batches of {batch_size}, shuffled by (seed, epoch)"
                 + (f", {left} left over in the last batch dropped" if left else "")
             ]
@@ -211,14 +206,14 @@ class _Loader(DataLoader[Any]):
             stay = "workers stay for the next epochs (persistent_workers)"
         else:
             batches = -(-items // batch_size)
-            told = [f"evaluation: {items} items in {batches} batches of up to {batch_size}, in order"]
+            reasons = [f"evaluation: {items} items in {batches} batches of up to {batch_size}, in order"]
             promise = "every item exactly once over all of them, so they may differ by one batch"
             stay = "workers end with each pass, which gives their memory back"
-        told.append("ranks: one process" if rank.of == 1 else f"ranks: number {rank.number} of {rank.of}; {promise}")
-        settings = _settings(dataset, batch_size, reading, rank, told)
+        reasons.append("ranks: one process" if rank.of == 1 else f"ranks: number {rank.number} of {rank.of}; {promise}")
+        settings = _choose_settings(dataset, batch_size, reading, rank, reasons)
         if settings["num_workers"] > 0:
-            told.append(stay)
-        self.why = tuple(told)
+            reasons.append(stay)
+        self.why = tuple(reasons)
         super().__init__(
             dataset,
             batch_size=batch_size,
@@ -268,27 +263,34 @@ def _length(dataset: Any) -> int:
     return length
 
 
-def _settings(dataset: Any, batch_size: int, reading: _Reading, rank: Rank, told: list[str]) -> dict[str, Any]:
-    """Return the DataLoader's settings of workers and memory; the reasons are added to ``told``."""
+def _choose_settings(
+    dataset: Any, batch_size: int, reading: _Reading, rank: Rank, reasons: list[str]
+) -> dict[str, Any]:
+    """Return the DataLoader's settings of workers and memory; the reasons are added to ``reasons``."""
     workers, prefetch, start_method, device = reading
     if workers is None:
         with keep_counts():
             nbytes = _nbytes(dataset[0])
         count, why = loader_workers(nbytes * batch_size, prefetch, start_method, rank)
-        told.append(f"workers: {count} ({why})")
+        reasons.append(f"workers: {count} ({why})")
     elif workers < 0:
         raise ArgumentError(f"workers must be 0 or more; found {workers}")
     else:
         count = workers
-        told.append(f"workers: {count} (as asked)")
+        reasons.append(f"workers: {count} (as asked)")
     settings: dict[str, Any] = {"num_workers": count}
     if count > 0:
         _check_can_be_sent(dataset, start_method)
-        settings |= {"multiprocessing_context": _context(start_method), "prefetch_factor": prefetch}
-        told.append(f"start method: {start_method} ({_WHY[start_method]})")
-        told.append(f"read ahead: {prefetch} batches a worker")
-    settings["pin_memory"], why = _pinned(device)
-    told.append(f"pinned memory: {why}")
+        context = multiprocessing.get_context(start_method)
+        if start_method == "forkserver":
+            # Imported once by the server that workers are forked from, for it would take seconds in each worker.
+            # Not __main__: what a script imports may start threads, which the server must not have as it forks.
+            context.set_forkserver_preload(["eldata.datasets._preloaded"])
+        settings |= {"multiprocessing_context": context, "prefetch_factor": prefetch}
+        reasons.append(f"start method: {start_method} ({_WHY[start_method]})")
+        reasons.append(f"read ahead: {prefetch} batches a worker")
+    settings["pin_memory"], why = _choose_pinning(device)
+    reasons.append(f"pinned memory: {why}")
     return settings
 
 
@@ -298,14 +300,6 @@ _WHY: dict[StartMethod, str] = {
     "spawn": "workers start from nothing, and load the libraries each",
     "fork": "as asked; workers are copies of this process, and hang if a thread of a library holds a lock",
 }
-
-
-def _context(start_method: StartMethod) -> BaseContext:
-    context = multiprocessing.get_context(start_method)
-    if start_method == "forkserver":
-        # Not __main__: what a script imports may start threads, which the server must not have as it forks.
-        context.set_forkserver_preload(list(_PRELOADED))
-    return context
 
 
 def _check_can_be_sent(dataset: Any, start_method: StartMethod) -> None:
@@ -323,7 +317,7 @@ def _check_can_be_sent(dataset: Any, start_method: StartMethod) -> None:
         raise ArgumentError(f"{type(dataset).__name__} cannot be sent to workers ({error}); {advice}") from error
 
 
-def _pinned(device: torch.device | str | None) -> tuple[bool, str]:
+def _choose_pinning(device: torch.device | str | None) -> tuple[bool, str]:
     if not torch.cuda.is_available():
         return False, "no (CUDA is not there)"
     if device is not None and torch.device(device).type != "cuda":
@@ -428,7 +422,8 @@ def loader_workers(batch_bytes: int, prefetch: int, start_method: StartMethod, r
     rank
         For the number of ranks, if the environment does not state how many of them run here.
     """
-    here = _ranks_here(rank)
+    stated = os.environ.get("LOCAL_WORLD_SIZE", "")  # torchrun's
+    here = int(stated) if stated.isdecimal() and int(stated) > 0 else rank.of
     cpus = usable_cpus()
     count = max(1, cpus // here - 1)
     left = f" by {here} ranks, one of each" if here > 1 else ", one"
@@ -487,8 +482,3 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="ascii").strip()
     except OSError:
         return ""
-
-
-def _ranks_here(rank: Rank) -> int:
-    stated = os.environ.get("LOCAL_WORLD_SIZE", "")  # torchrun's
-    return int(stated) if stated.isdecimal() and int(stated) > 0 else rank.of

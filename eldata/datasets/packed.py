@@ -83,9 +83,7 @@ class PackedStore(SourcePairs):
             source = Store(path)
             options["levels"] = levels or source.levels
             super().__init__(source, source.pairs(take_choice(options)), name=source.dataset, **options)
-
-    def _place(self) -> str:
-        return str(self.source.path)
+            self._place = str(source.path)
 
 
 class PackedClips(ClipWindows):
@@ -173,11 +171,11 @@ class Noise2Noise(CroppedItems[Sample]):
         for number, record in enumerate(pairs.records):
             like = record.camera, record.reference, record.iso, record.ratio
             groups[like].append(number)
-        self._groups = [group for group in groups.values() if len(group) > 1]
-        self._count = sum(map(len, self._groups))
+        several = [group for group in groups.values() if len(group) > 1]
+        self._text = f"{sum(map(len, several))} of {len(several)} exposures"
         self._members = [
             (group, place, step)
-            for group in self._groups
+            for group in several
             for place in range(len(group))
             for step in range(len(pairs._indices_of(group[place])))
         ]
@@ -191,15 +189,15 @@ class Noise2Noise(CroppedItems[Sample]):
     def __len__(self) -> int:
         return len(self._members) * self.pairs.crops_per_frame
 
-    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
+    def draw_item(self, place: int, generator: np.random.Generator) -> DrawnItem:
         """Draw a crop of a pair, and of another pair of its scene."""
         group, place, step = self._members[place % len(self._members)]
         other_place = (place + 1 + int(generator.integers(len(group) - 1))) % len(group)
-        item = self.pairs.drawn(self.pairs._indices_of(group[place])[step], generator)
-        other = self.pairs.drawn(self.pairs._indices_of(group[other_place])[step], generator)
+        item = self.pairs.draw_item(self.pairs._indices_of(group[place])[step], generator)
+        other = self.pairs.draw_item(self.pairs._indices_of(group[other_place])[step], generator)
         (mine,), (its,) = ([part for part in drawn.parts if part.tensor == "input"] for drawn in (item, other))
         item.parts = [mine, its._replace(tensor="target", facts={})]
         return item
 
     def _outline(self) -> list[tuple[str, str]]:
-        return [("noisy frames", f"{self._count} of {len(self._groups)} exposures"), *self.pairs._outline()]
+        return [("noisy frames", self._text), *self.pairs._outline()]

@@ -451,12 +451,12 @@ class CRVDDataset(ClipWindows):
         options = keywords_of(locals(), "root", "shots", "manifest")
         listed = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)
         folder = listed.own_folder(root)
-        rows = _moments(listed, take_choice(options).pairs(listed.records, listed.card.subsets), shots)
+        rows = _list_moments(listed, take_choice(options).pairs(listed.records, listed.card.subsets), shots)
         files = Files(FrameFiles.of(folder, listed.card, rows), rows, listed.card)
         super().__init__(files, rows, (), folder, **options)
 
 
-def _moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collection[int]) -> list[FrameRecord]:
+def _list_moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collection[int]) -> list[FrameRecord]:
     """Return the rows of pairs as moments of sequences (:mod:`eldata.manifest.clips`), of these noisy shots alone."""
     if not {*shots} <= set(SHOTS):
         raise ArgumentError(f"shots must be of 0 to {len(SHOTS) - 1}; found {list(shots)}")
@@ -464,14 +464,14 @@ def _moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collection[
     noisy = [row for row in manifest.records if row.path in chosen]
     scene_of: dict[str | None, str] = {}
     kept = []
-    for row, (frame, shot) in zip(noisy, map(_numbers, noisy), strict=True):
+    for row, (frame, shot) in zip(noisy, map(_parse_numbers, noisy), strict=True):
         if shot in shots:
             scene_of[row.reference] = moment_name(row.scene, frame)
             kept.append(replace(row, scene=scene_of[row.reference]))
     return kept + [replace(row, scene=scene_of[row.path]) for row in manifest.records if row.path in scene_of]
 
 
-def _numbers(row: FrameRecord) -> tuple[int, int]:
+def _parse_numbers(row: FrameRecord) -> tuple[int, int]:
     numbers = _FRAME.fullmatch(row.path)
     if numbers is None:
         raise ManifestError(f"{row.path}: expected a name such as frame1_noisy0.tiff, whose numbers say frame and shot")

@@ -116,7 +116,7 @@ class EldataPairs(Dataset[dict[str, Any]]):
 
     def _read_sample(self, index: int, generator: np.random.Generator) -> dict[str, Any]:
         """Return a sample, in LED's order of steps, each in float32."""
-        item = self.pairs.drawn(index, generator)
+        item = self.pairs.draw_item(index, generator)
         sample: dict[str, Any] = {}
         facts: dict[str, Any] = {}
         for part in item.parts:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenedPair:
-    """A noisy frame beside its reference.
+    """An open noisy frame and its reference.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class PairOpener:
     def open_pair(
         self, record: Record, target: Frame | None, path: str | None = None, noisy: Frame | None = None
     ) -> OpenedPair:
-        """Open a noisy frame beside its reference.
+        """Open a noisy frame, whose reference is open already.
 
         Parameters
         ----------

@@ -6,7 +6,7 @@ import copy
 import gc
 import os
 import pickle
-from contextlib import suppress
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,11 +34,8 @@ SIDE = 40
 class Numbers(Dataset[Any]):
     """Sample i is full of i: whoever reads other memory than its own sees it."""
 
-    def __init__(self, length: int = 24) -> None:
-        self.length = length
-
     def __len__(self) -> int:
-        return self.length
+        return 24
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         return self.facts(index) | {
@@ -47,11 +44,10 @@ class Numbers(Dataset[Any]):
         }
 
     def facts(self, index: int) -> dict[str, Any]:
-        ratio = index / 3
         return {
             "name": f"item {index}",
             "image": None,
-            "ratio": ratio,
+            "ratio": index / 3,
             "count": index,
             "mosaic": None,
             "bias": torch.tensor([index, 1.5], dtype=torch.float64),
@@ -74,35 +70,23 @@ class Plain(Numbers):
     __getitems__ = None  # type: ignore[assignment] # as of a dataset that has none
 
 
-WORKERS = [(0, None), (2, "fork")]
-
-
-@pytest.mark.parametrize(("workers", "method"), WORKERS)
+@pytest.mark.parametrize(("workers", "method"), [(0, None), (2, "fork")])
 def test_batches_are_those_of_torch(workers: int, method: str | None) -> None:
-    """Plain dictionaries of plain tensors, in the same order, with the same dtypes, the last batch smaller."""
-    options: dict[str, Any] = {"batch_size": 5, "num_workers": workers, "multiprocessing_context": method}
-    wanted = list(DataLoader(Plain(), batch_size=5))
-    for batch, other in zip(DataLoader(Numbers(), **options), wanted, strict=True):
-        assert type(batch) is dict
-        assert list(batch) == list(other)
-        same(batch, other)
+    """Plain dictionaries of plain tensors, in the same order, with the same dtypes, the last batch smaller.
 
-
-@pytest.mark.parametrize(("workers", "method"), WORKERS)
-def test_no_batch_that_is_kept_is_overwritten(workers: int, method: str | None) -> None:
+    Those that are kept, or views of them, are not overwritten.
+    """
     loader = DataLoader(
-        Numbers(), batch_size=3, num_workers=workers, multiprocessing_context=method, persistent_workers=workers > 0
+        Numbers(), batch_size=5, num_workers=workers, multiprocessing_context=method, persistent_workers=workers > 0
     )
-    kept = []
-    for epoch in range(4):
-        for number, batch in enumerate(loader):
-            if number % 3 == epoch % 3:
-                kept.append((number, batch["image"][1:, :, 3]))  # a view: not the tensor that came
-            if number % 4 == 1:
-                kept.append((number, np.asarray(batch["image"])[1:, :, 3]))
-    for number, view in kept:
-        for place, image in enumerate(view, 1):
-            assert (np.asarray(image) == 3 * number + place).all()
+    kept = [batch for _ in range(2) for batch in loader]
+    views = [np.asarray(batch["image"])[1:, :, 3] for batch in loader]
+    for number, batch in enumerate([*loader, *kept]):
+        other = default_collate([Plain()[index] for index in range(number % 5 * 5, min(number % 5 * 5 + 5, 24))])
+        assert type(batch) is dict
+        same(batch, {name: other[name] for name in batch})
+        assert list(batch) == ["name", "image", "ratio", "count", "mosaic", "bias"]
+        assert (views[number % 5] == np.asarray(other["image"])[1:, :, 3]).all()
 
 
 def test_memory_is_used_again_once_nobody_sees_it() -> None:
@@ -124,62 +108,77 @@ def test_memory_is_used_again_once_nobody_sees_it() -> None:
     assert len(batches._pieces(batches._Piece).all) <= 1 + batches._MOST_FREE
 
 
-def test_who_keeps_very_many_batches_gets_other_memory() -> None:
-    """And not an error for want of descriptors."""
-    kept = [Numbers().__getitems__([index])[0]["image"] for index in range(2 * batches._MOST_HELD)]
-    for index, image in enumerate(kept):
-        assert (image == index).all()
-    assert len(batches._pieces(batches._Piece).all) <= batches._MOST_HELD
-    for epoch in range(2):
-        loader = DataLoader(Numbers(200), batch_size=1, num_workers=1, multiprocessing_context="fork")
-        for index, batch in enumerate(list(loader)):
-            assert (batch["image"] == index).all(), epoch
+def test_who_keeps_very_many_batches_gets_other_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And not an error for want of descriptors, in a worker or not."""
+    for info in (None, object()):
+        monkeypatch.setattr(batches, "get_worker_info", lambda info=info: info)
+        kept = [Numbers().__getitems__([index])[0]["image"] for index in range(2 * batches._MOST_HELD)]
+        for index, image in enumerate(kept):
+            assert (image == index).all()
+        pieces = batches._pieces(batches._Piece if info is None else batches._SharedPiece)
+        assert len(pieces.all) <= batches._MOST_HELD
 
 
-def open_batches(process: int) -> int:
-    """How many pieces of memory a process has open."""
-    count = 0
-    for link in Path(f"/proc/{process}/fd").iterdir():
-        with suppress(FileNotFoundError):  # closed meanwhile, as sockets and pipes are
-            count += "eldata-batch" in str(link.readlink())
-    return count
+# --- what workers send ------------------------------------------------------------------------------------------------
 
 
+def send(numbers: Sequence[int]) -> tuple[dict[str, Any], batches._Piece]:
+    """Make a batch as a worker does, and receive it; and the worker's piece of memory that it lies in."""
+    whole = default_collate(Numbers().__getitems__(numbers))
+    received = ForkingPickler.loads(ForkingPickler.dumps(whole))
+    return received, whole.batch.piece
+
+
+@pytest.fixture
+def as_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batches, "get_worker_info", object)
+
+
+@pytest.mark.usefixtures("as_worker")
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs /proc")
-def test_workers_use_their_memory_again_and_leave_none_behind() -> None:
-    """80 batches through one worker: as many pieces as are read ahead, and some."""
-    before = open_batches(os.getpid())
-    loader = DataLoader(
-        Numbers(400), batch_size=5, num_workers=1, multiprocessing_context="fork", persistent_workers=True
-    )
-    iterator = iter(loader)
-    seen = 0
-    for batch in iterator:
-        seen += len(batch["name"])
-        del batch
-    assert seen == 400
-    (worker,) = iterator._workers  # type: ignore[attr-defined] # of torch's, there is no public name
-    assert 0 < open_batches(worker.pid) <= 4 + batches._MOST_FREE
-    assert open_batches(os.getpid()) == before
-    next(iter(loader))  # and the rest of this epoch is dropped
-    assert sum(len(batch["name"]) for batch in loader) == 400
+def test_memory_that_was_sent_is_used_again_once_both_are_done() -> None:
+    """80 batches: as many pieces as are held, and no descriptor is left where they are read."""
+    received, piece = send([3, 4, 5])
+    same(received, default_collate([plain_part(Plain(), index) for index in (3, 4, 5)]))
+    opened = []
+    for number in range(80):
+        other, its_piece = send([number, 7])
+        assert its_piece is not piece
+        assert (other["image"][0] == number).all()
+        del other, its_piece
+        links = [link.readlink() for link in Path("/proc/self/fd").iterdir() if link.is_symlink()]
+        opened.append(sum("eldata-batch" in str(link) for link in links))
+    assert (received["image"][2] == 5).all()
+    assert max(opened[10:]) < 40  # of 80, had each left one
+    assert len(batches._pieces(batches._SharedPiece).all) <= 2 + batches._MOST_FREE
+    view = received["image"][1, :, 3]
+    del received
+    assert not piece.is_free()
+    del view
+    assert piece.is_free()
 
 
+@pytest.mark.usefixtures("as_worker")
+def test_a_batch_that_was_changed_is_sent_as_it_is() -> None:
+    whole = default_collate(Numbers().__getitems__([3, 4]))
+    del whole["mosaic"]  # torch itself cannot pickle a uint16
+    whole["image"] = whole["image"] + 1
+    assert (ForkingPickler.loads(ForkingPickler.dumps(whole))["image"][1] == 5).all()
+
+
+@pytest.mark.usefixtures("as_worker")
 def test_a_fork_that_ends_gives_back_nothing() -> None:
     """Its copies of the arrays go, those of the process that reads stay: the worker must not write there."""
-    loader = DataLoader(Numbers(), batch_size=3, num_workers=1, multiprocessing_context="fork", persistent_workers=True)
-    batch = next(iter(loader))
-    for _ in range(4):
+    received, piece = send([3, 4, 5])
+    for _ in range(2):
         child = os.fork()
         if child == 0:
-            opened = open_batches(os.getpid())
-            del batch
-            os._exit(open_batches(os.getpid()) != opened - 1)
+            del received
+            os._exit(0)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-        for _other in loader:
-            pass
-        for place in range(3):
-            assert (batch["image"][place] == place).all()
+        assert not piece.is_free()
+    del received
+    assert piece.is_free()
 
 
 # --- what others do with the samples ----------------------------------------------------------------------------------

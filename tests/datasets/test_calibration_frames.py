@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -18,7 +18,6 @@ from eldata.records import FrameRecord
 from tests.calibration.trees import CAMERA, FrameTree, made_tree, named
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 ISOS = (100, 1600)
@@ -76,12 +75,8 @@ def test_the_manifest_route(pristine: FrameTree, monkeypatch: pytest.MonkeyPatch
     assert frames[3]["exposure_s"] == float(frames.records[3].exposure_s or 0)
 
 
-def two_cameras(tree: FrameTree) -> None:
-    shutil.copytree(tree.camera, tree.root / "Other")
-
-
 def test_a_choice_of_cameras(tree: FrameTree) -> None:
-    two_cameras(tree)
+    shutil.copytree(tree.camera, tree.root / "Other")
     (tree.root / "notes").mkdir()
     (tree.root / "readme.txt").write_text("x")
     with pytest.raises(DatasetError, match=f"frames of 2 cameras; choose one: {CAMERA}, Other"):
@@ -104,61 +99,42 @@ def test_a_choice_of_isos(pristine: FrameTree) -> None:
         CalibrationFrames(pristine.root, isos=[])
 
 
-def lost_root(tree: FrameTree) -> Path:
-    return tree.root / "none"
-
-
-def empty_root(tree: FrameTree) -> Path:
-    (tree.folder / "empty").mkdir()
-    return tree.folder / "empty"
-
-
-def no_raw_files(tree: FrameTree) -> Path:
-    for path in tree.root.rglob("*.dng"):
-        path.rename(path.with_suffix(".jpg"))
-    return tree.root
-
-
-def misnamed(name: str) -> Callable[[FrameTree], Path]:
-    def rename(tree: FrameTree) -> Path:
-        (tree.camera / "bias" / "ISO100").rename(tree.camera / "bias" / name)
-        return tree.root
-
-    return rename
-
-
-def outside_an_iso_folder(tree: FrameTree) -> Path:
-    tree.files("flat", 100)[0].rename(tree.camera / "flat" / "IMG_0001.dng")
-    return tree.root
-
-
-def linked_folder(tree: FrameTree) -> Path:
-    """The search follows no links to folders, and must not pass over their frames without a word."""
-    (tree.camera / "flat" / "ISO100").rename(tree.folder / "elsewhere")
-    (tree.camera / "flat" / "ISO100").symlink_to(tree.folder / "elsewhere")
-    return tree.root
+def refused(root: Path, *words: str) -> None:
+    with pytest.raises(DatasetError) as raised:
+        CalibrationFrames(root)
+    assert all(word in str(raised.value) for word in words)
+    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    ("found", "moved", "words"),
     [
-        (lost_root, ["none: there is no such folder", "<camera>/bias/ISO100/"]),
-        (empty_root, ["holds no folder bias or flat", "<camera>/flat/ISO100/"]),
-        (no_raw_files, ["holds no raw file", ".arw", ".dng"]),
-        (misnamed("iso100"), ["iso100/IMG_0001.dng: lies in no folder that names its ISO", "bias/ISO100/IMG_0001.dng"]),
-        (misnamed("ISO100-again"), ["lies in no folder that names its ISO"]),
-        (outside_an_iso_folder, ["flat/IMG_0001.dng: lies in no folder that names its ISO", "flat/ISO100/IMG_0001"]),
-        (linked_folder, ["flat/ISO100: is a link to a folder"]),
+        (CAMERA, "../elsewhere", ["holds no folder bias or flat", "<camera>/flat/ISO100/"]),
+        ("*/bias/ISO100", f"{CAMERA}/bias/iso100", ["iso100/IMG_0001.dng: lies in no folder", "bias/ISO100/IMG_0001"]),
+        ("*/bias/ISO100", f"{CAMERA}/bias/ISO100-again", ["lies in no folder that names its ISO"]),
+        ("*/flat/ISO100/*", f"{CAMERA}/flat/a.dng", ["flat/a.dng: lies in no folder", "flat/ISO100/a.dng"]),
     ],
 )
-def test_unusable_folders_say_what_is_expected(
-    spoil: Callable[[FrameTree], Path], words: list[str], tree: FrameTree
-) -> None:
-    with pytest.raises(DatasetError) as raised:
-        CalibrationFrames(spoil(tree))
-    for word in words:
-        assert word in str(raised.value)
-    assert "\n" not in str(raised.value)
+def test_frames_that_lie_elsewhere(found: str, moved: str, words: list[str], tree: FrameTree) -> None:
+    min(tree.root.glob(found)).rename(tree.root / moved)
+    refused(tree.root, *words)
+
+
+def test_unusable_folders_say_what_is_expected(tree: FrameTree) -> None:
+    refused(tree.root / "none", "none: there is no such folder", "<camera>/bias/ISO100/")
+    (tree.camera / "flat" / "ISO100").rename(tree.folder / "elsewhere")
+    (tree.camera / "flat" / "ISO100").symlink_to(tree.folder / "elsewhere")
+    refused(tree.root, "flat/ISO100: is a link to a folder")  # whose frames would be missing without a word
+    (tree.camera / "flat" / "ISO100").unlink()
+    for path in tree.root.rglob("*.dng"):
+        path.rename(path.with_suffix(".jpg"))
+    refused(tree.root, "holds no raw file", ".arw", ".dng")
+
+
+def test_a_row_without_an_iso_is_refused(tree: FrameTree) -> None:
+    tree.manifest.write_text(tree.manifest.read_text().replace(",1600,", ",,", 1))
+    with pytest.raises(DatasetError, match="a calibration frame's row needs its ISO"):
+        CalibrationFrames(tree.root, manifest=tree.manifest)
 
 
 def test_what_is_no_raw_file_is_left_alone_and_listed(tree: FrameTree) -> None:
@@ -179,17 +155,11 @@ def test_what_is_no_raw_file_is_left_alone_and_listed(tree: FrameTree) -> None:
 # --- samples --------------------------------------------------------------------------------------------------------
 
 
-def libraws(path: Path) -> np.ndarray[Any, np.dtype[np.uint16]]:
-    with rawpy.imread(str(path)) as raw:
-        return raw.raw_image_visible.copy()
-
-
 def test_samples_are_what_libraw_reads(pristine: FrameTree) -> None:
     frames = CalibrationFrames(pristine.root)
-    rows = listed(pristine)
-    for sample, row in zip(frames, rows, strict=True):
-        np.testing.assert_array_equal(sample["mosaic"], libraws(pristine.root / row.path))
-        assert sample["mosaic"].dtype == np.uint16
+    for sample, row in zip(frames, listed(pristine), strict=True):
+        with rawpy.imread(str(pristine.root / row.path)) as raw:
+            np.testing.assert_array_equal(sample["mosaic"], raw.raw_image_visible, strict=True)
         assert (sample["role"], sample["camera"], sample["path"]) == (row.role, row.camera, row.path)
         assert (sample["iso"], sample["exposure_s"]) == (float(row.iso or 0), float(row.exposure_s or 0))
     assert len(list(frames)) == 14, "it can be iterated twice"

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-import eldata.raw.reading
-from eldata.datasets.clean import Arrays, CleanFrames
-from eldata.datasets.crops import Crop, oriented
+from eldata.datasets.clean import Arrays, CleanClips, CleanFrames, clean_scenes
+from eldata.datasets.crops import Crop, turn_mosaic
 from eldata.datasets.synthetic.pairs import SyntheticPairs
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import DatasetError, EldataError
 from eldata.raw import write_dng
 from eldata.raw.levels import CLIP_RANGES, normalise, pack, unpack
 from eldata.sources.store import build_store, source_of_folder
+from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from eldata.sources.frames import Frame
 
 CFAS = [BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"]]
 
@@ -78,70 +78,53 @@ def test_each_frame_is_the_file(levels: Any, white: float, folder: Path) -> None
         assert "mosaic" not in repr(frame)
 
 
-@pytest.fixture
-def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Names of the files that are decoded from now on."""
-    names: list[str] = []
-    read = eldata.raw.reading.read_raw
-
-    def counted(path: Path) -> Any:
-        names.append(path.name)
-        return read(path)
-
-    monkeypatch.setattr(eldata.raw.reading, "read_raw", counted)
-    return names
-
-
-def test_the_frames_last_used_are_kept(folder: Path, decoded: list[str]) -> None:
+def test_the_frames_last_used_are_kept(folder: Path) -> None:
     source = CleanFrames(folder, keep=2)
-    first = source.frame(0)
-    source.frame(1)
+    first, second = source.frame(0), source.frame(1)
     assert source.frame(0) is first  # and so 1 is the oldest
     source.frame(2)
     assert source.frame(0) is first
-    source.frame(1)
-    assert decoded == ["a.dng", "b.DNG", "c.dng", "b.DNG"]
+    assert source.frame(1) is not second
     assert len(source._kept) == 2
 
 
-@pytest.mark.parametrize(
-    ("work", "error", "words"),
+@in_one_test(
+    "work, words",
     [
-        (lambda folder: CleanFrames(folder, keep=-1), ArgumentError, "keep"),
-        (
-            lambda folder: CleanFrames(folder, levels="eld"),  # type: ignore[arg-type]
-            ArgumentError,
-            "levels must be one of 'metadata', 'published'",
-        ),
-        (lambda folder: CleanFrames(folder / "none"), DatasetError, "none: there is no such folder"),
-        (lambda folder: CleanFrames(folder / "a.dng"), DatasetError, r"a\.dng: is a file, not a folder"),
-        (lambda _: CleanFrames([]), DatasetError, "no raw file was given"),
-        (lambda _: Arrays([], range_dn=1.0), ArgumentError, "no array was given"),
-        (lambda _: Arrays(np.zeros((1, 4, 2, 2)), range_dn=0.0), ArgumentError, "range_dn must be finite and above 0"),
-        (
-            lambda _: Arrays(np.zeros((1, 9, 2, 2)), range_dn=1.0).frame(0),
-            ArgumentError,
-            r"expected packed data \(4, h",
-        ),
+        (lambda folder: CleanFrames(folder, keep=-1), "keep"),
+        (lambda folder: CleanFrames(folder, levels="eld"), "levels must be one of"),  # type: ignore[arg-type]
+        (lambda folder: CleanFrames(folder / "none"), "none: there is no such folder"),
+        (lambda folder: CleanFrames(folder / "a.dng"), r"a\.dng: is a file, not a folder"),
+        (lambda _: CleanFrames([]), "no raw file was given"),
+        (lambda _: CleanClips([]), "no clip was given"),
+        (lambda _: Arrays([], range_dn=1.0), "no array was given"),
+        (lambda _: Arrays(np.zeros((1, 4, 2, 2)), range_dn=0.0), "range_dn must be finite and above 0"),
+        (lambda _: Arrays(np.zeros((1, 9, 2, 2)), range_dn=1.0).frame(0), r"expected packed data \(4, h"),
     ],
 )
-def test_what_is_refused(work: Any, error: type[Exception], words: str, folder: Path) -> None:
-    with pytest.raises(error, match=words):
+def test_what_is_refused(work: Any, words: str, folder: Path) -> None:
+    with pytest.raises(EldataError, match=words):
         work(folder)
 
 
+@in_one_test("names, may_be_clip", [("1 2 3", True), ("1 2 3 x", True), ("1 2 x y", False), ("x y", False)])
+def test_numbered_stills_may_be_a_clip(names: str, may_be_clip: bool, tmp_path_factory: pytest.TempPathFactory) -> None:
+    top = tmp_path_factory.mktemp("raws")
+    (top / "below").mkdir()
+    for name in names.split():
+        (top / "below" / f"{name}.dng").touch()
+    with pytest.raises(DatasetError, match="--no-clips") if may_be_clip else nullcontext():
+        assert len(clean_scenes([top], None, "*")) == len(names.split())
+
+
 # --- arrays ---------------------------------------------------------------------------------------------------------
-
-
-def arrays_of(packed: Any, **options: Any) -> Arrays:
-    return Arrays(packed, **options)
 
 
 @pytest.mark.parametrize("cfa", [*BAYER.values(), XTRANS["xtrans-42"]], ids=str)
 def test_a_part_of_an_array_is_that_of_the_whole(cfa: Cfa) -> None:
     """At any place and of any size, in step with the CFA or not."""
     rng = np.random.default_rng(1)
-    frame = arrays_of(rng.random((1, 4 if len(cfa) == 2 else 9, 12, 14), np.float32), range_dn=900.0, cfa=cfa).frame(0)
+    frame = Arrays(rng.random((1, 4 if len(cfa) == 2 else 9, 12, 14), np.float32), range_dn=900.0, cfa=cfa).frame(0)
     whole = frame.whole()
     for _ in range(40):
         (top, bottom), (left, right) = (np.sort(rng.integers(side + 1, size=2)) for side in frame.shape)
@@ -156,18 +139,18 @@ def test_a_crop_of_an_array_is_what_numpy_makes_of_it(cfa: Cfa, clip: Any) -> No
     rng = np.random.default_rng(3)
     packed = rng.normal(0.5, 0.5, (4 if len(cfa) == 2 else 9, 16, 18)).astype(np.float32)
     packed[:, 2:5, 3], packed[:, 6:9, 2], packed[0, 1, 1], packed[0, 1, 2] = np.nan, -0.0, np.inf, -np.inf
-    frame = arrays_of(packed[None], range_dn=900.0, cfa=cfa).frame(0)
+    frame = Arrays(packed[None], range_dn=900.0, cfa=cfa).frame(0)
     for seed in range(12):
         crop = Crop.draw(frame, np.random.default_rng(seed), crop=8, augment=True)
         out = np.empty(crop.packed_shape, np.float32)
         crop.fill(frame, out, clip=clip, gain=1.5)
-        turned = oriented(unpack(packed, cfa)[crop.slices] * np.float32(900), crop.cfa, crop.orientation)
+        turned = turn_mosaic(unpack(packed, cfa)[crop.slices] * np.float32(900), crop.cfa, crop.orientation)
         once = normalise(
-            pack(turned[: crop.height, : crop.width].copy(), crop.cfa), crop.cfa, *levels_of(frame), clip=clip
+            pack(turned[: crop.height, : crop.width].copy(), crop.cfa),
+            crop.cfa,
+            frame.black_level_dn,
+            frame.white_level_dn,
+            clip=clip,
         )
         wanted = np.clip(once * np.float32(1.5), *CLIP_RANGES[clip])
         np.testing.assert_array_equal(out.view(np.uint32), wanted.view(np.uint32))
-
-
-def levels_of(frame: Frame) -> tuple[tuple[float, ...], float]:
-    return frame.black_level_dn, frame.white_level_dn

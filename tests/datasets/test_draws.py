@@ -1,8 +1,10 @@
-"""Which draw an item gets: the k-th time that it is asked for the k-th, by any workers; or that of a set epoch."""
+"""Which draw an item gets: the k-th time that it is asked for the k-th, by any workers, or a set epoch's; and turns."""
 
 from __future__ import annotations
 
 import itertools
+import os
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,11 +24,11 @@ from eldata.datasets import (
     set_epoch,
     training_loader,
 )
+from eldata.datasets.synthetic.draws import Turns, fewest_members
 from eldata.raw.levels import XTRANS_CFA
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
-from tests.datasets.methods import FORK
-from tests.datasets.test_synthetic import Mosaics
+from tests.datasets.mosaics import Mosaics
 from tests.raw.helpers import BAYER, random_mosaic
 from tests.waiting import PATIENCE_S
 
@@ -39,17 +41,15 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
 
-def clips() -> SyntheticClips:
-    frames = np.random.default_rng(0).random((5, 4, 40, 40), np.float32)
-    return SyntheticClips(CleanClips([Arrays(frames, range_dn=15871.0)] * 3), "SonyA7S2", frames=2, crop=8)
-
+FRAMES = np.random.default_rng(0).random((5, 4, 40, 40), np.float32)
+CLIPS = CleanClips([Arrays(FRAMES, range_dn=15871.0)] * 3)
 
 KINDS: dict[str, Any] = {
     "files": lambda tree, _: PairDataset(tree.data, tree.csv, crop=8, seed=3),
     "store": lambda _, store: PackedStore(store, crop=8, crops_per_frame=2, seed=3),
     "grid": lambda _, store: PackedStore(store, crop=24, crops="grid", seed=3),
     "synthetic": lambda _, store: SyntheticPairs(CleanFrames(store), "SonyA7S2", crop=8, crops_per_frame=2),
-    "clips": lambda *_: clips(),
+    "clips": lambda *_: SyntheticClips(CLIPS, "SonyA7S2", frames=2, crop=8),
     "rendered": lambda _, store: raw2rgb(PackedStore(store, crop=8, seed=3, cameras=["DemoAlpha"])),
     "parts": lambda _, store: ConcatDataset([Subset(PackedStore(store, crop=8, seed=3), range(5, 12))]),
 }
@@ -79,22 +79,20 @@ def test_each_pass_of_a_plain_loader_is_the_next_epoch(kind: str, pristine: Tree
         assert np.mean(unlike) > 0.5  # of a grid one in eight is turned as before
 
 
-SPAWN = pytest.param("spawn", True, marks=pytest.mark.study)
-
-
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
 @pytest.mark.parametrize(
-    ("method", "persistent"), [*(pytest.param("fork", kept, marks=FORK.marks) for kept in (False, True)), SPAWN]
+    ("method", "persistent"),
+    [("fork", False), ("fork", True), pytest.param("spawn", True, marks=pytest.mark.study)],  # which imports torch
 )
 def test_workers_do_not_matter(method: str, persistent: bool, store: Path) -> None:
-    """One or two, kept or not: the items of no worker. Those left at the end of a pass were asked for once alike."""
-    wanted = passes(DataLoader(KINDS["synthetic"](None, store), batch_size=5))
+    """Two, kept or not: the items of no worker. Those left at the end of a pass were asked for once alike."""
+    wanted = passes(DataLoader(KINDS["synthetic"](None, store), batch_size=5), 2)
+    dataset = KINDS["synthetic"](None, store)
     options: dict[str, Any] = {"persistent_workers": persistent, "multiprocessing_context": method}
-    for workers in (1, 2):
-        dataset = KINDS["synthetic"](None, store)
-        loader = DataLoader(dataset, batch_size=5, num_workers=workers, timeout=PATIENCE_S, **options)
-        for one, other in zip(itertools.chain(*wanted), itertools.chain(*passes(loader)), strict=True):
-            same(one, other)
-        same(dataset[7], of_epoch(KINDS["synthetic"](None, store), 3)[7])  # this process counts on
+    loader = DataLoader(dataset, batch_size=5, num_workers=2, timeout=PATIENCE_S, **options)
+    for one, other in zip(itertools.chain(*wanted), itertools.chain(*passes(loader, 2)), strict=True):
+        same(one, other)
+    same(dataset[7], of_epoch(KINDS["synthetic"](None, store), 2)[7])  # this process counts on
 
 
 def test_to_look_at_an_item_is_not_to_ask_for_it(store: Path) -> None:
@@ -122,3 +120,45 @@ def test_items_that_fit_no_batch_are_drawn_once(reads_parts: bool, monkeypatch: 
     for one, other in zip(dataset.__getitems__([0, 1, 2, 0]), [*alone, alone[0]], strict=True):
         same(one, other)
     same(dataset[2], of_epoch(alone, 1)[2])
+
+
+# --- turns ------------------------------------------------------------------------------------------------------------
+
+
+def test_each_member_once_before_any_twice() -> None:
+    """One group: rounds of all members, in orders that differ from round to round."""
+    turns = Turns(3, [1.0], [7])
+    rounds = [[turns.at(place)[1][0] for place in range(7 * number, 7 * number + 7)] for number in range(20)]
+    assert all(sorted(one) == list(range(7)) for one in rounds)
+    assert len({tuple(one) for one in rounds}) > 15
+    assert [turns.at(place) for place in (130, 5)] == [Turns(3, [1.0], [7]).at(place) for place in (130, 5)]
+    assert [turns.at(place) for place in range(7)] != [Turns(4, [1.0], [7]).at(place) for place in range(7)]
+
+
+@pytest.mark.parametrize("weights", [[1.0, 1.0, 1.0], [5.0, 1.0, 0.01, 2.0], [0.1, 0.2]])
+def test_groups_come_by_their_weights_and_their_members_stay_level(weights: list[float]) -> None:
+    """At each place a group's members differ by one use at most; at each block's end groups have had their shares."""
+    sizes = [5, 3, 4, 6][: len(weights)]
+    turns, counts = Turns(0, weights, sizes), [Counter[int]() for _ in weights]
+    shares = np.array(weights) / sum(weights)
+    for place in range(640):
+        group, (member,) = turns.at(place)
+        counts[group][member] += 1
+        used = [counts[group][one] for one in range(sizes[group])]
+        assert max(used) - min(used) <= 1
+        if place % 64 == 63:
+            found = np.array([count.total() for count in counts])
+            assert np.abs(found - shares * (place + 1)).max() < len(weights)
+    assert len({turns.at(place)[0] for place in range(0, 640, 64)}) > 1  # blocks do not begin alike
+
+
+@pytest.mark.parametrize("each", [2, 3, 5])
+def test_members_of_one_turn_are_different(each: int) -> None:
+    """With the fewest members that there may be, over 400 rounds: no turn has one twice, and they stay level."""
+    size = fewest_members(each)
+    turns, used = Turns(1, [1.0], [size], each), Counter[int]()
+    for place in range(400 * size // each):
+        members = turns.at(place)[1]
+        assert len(set(members)) == each
+        used.update(members)
+    assert max(used.values()) - min(used.values()) <= 1

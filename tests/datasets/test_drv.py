@@ -16,8 +16,12 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
+from eldata.datasets.base import SourcePairs
 from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
+from eldata.records import PairRecord
+from eldata.sources.frames import Files
+from tests.datasets.conftest import CLIPS
 from tests.drv_tree import (
     NOISY,
     REFERENCE,
@@ -26,7 +30,6 @@ from tests.drv_tree import (
     SmallDrv,
     mosaic_of,
     rgb_frame_of,
-    small_drv,
     still_of,
     write_png,
     write_raw,
@@ -34,36 +37,21 @@ from tests.drv_tree import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from numpy.typing import NDArray
 
-# Python 3.12 and later warn of any fork in a process that has threads.
-pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-
-FRAMES = 13
 HEIGHT, WIDTH = RGB_SIZE
-
-
-@pytest.fixture(scope="module")
-def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
-    return small_drv(tmp_path_factory.mktemp("drv"), ("0007", "0013", "M0003"), FRAMES)
 
 
 @pytest.fixture(scope="module")
 def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("raw")
-    for clip in ("0007", "0013", "M0003"):
+    for clip in CLIPS:
         write_raw_clip(folder, clip, 7)
     return folder
 
 
 def opened(drv: SmallDrv, **options: Any) -> DRVDataset:
     return DRVDataset(drv.data, manifest=drv.csv, **{"split": "test"} | options)
-
-
-def numbers_of(paths: Iterable[str]) -> list[int]:
-    return [int(Path(path).stem) for path in paths]
 
 
 def normalised(pixels: NDArray[np.uint16]) -> NDArray[np.float32]:
@@ -98,9 +86,7 @@ def test_dynamic_clips_are_input_alone(drv: SmallDrv) -> None:
     dataset = DRVDataset(drv.data, dynamic=True, manifest=drv.csv, window=2)
     assert len(dataset) == 6
     sample = dataset[1]
-    assert set(sample) == {
-        *("input", "ratio", "iso", "exposure_s", "camera", "scene", "split", "path", "start"),
-    }
+    assert {"input", "target", "reference"} & set(sample) == {"input"}
     np.testing.assert_array_equal(sample["input"][0].numpy(), normalised(rgb_frame_of("M0003", 3)))
     assert (sample["scene"], sample["split"]) == ("M0003", "dynamic")
 
@@ -142,9 +128,9 @@ def packed(mosaic: NDArray[np.uint16], gain: float, clip: str = "both") -> NDArr
     """Black per channel and white of the file, both clips as published."""
     planes = mosaic[0::2, 0::2], mosaic[0::2, 1::2], mosaic[1::2, 1::2], mosaic[1::2, 0::2]
     black = np.array(SENSOR.black_level_dn)[:, None, None]
-    values = (np.stack(planes).astype(np.float64) - black) / (SENSOR.white_level_dn - black)
     low = 0.0 if clip == "both" else -np.inf
-    amplified: NDArray[np.float64] = np.clip(np.clip(values, low, 1) * gain, low, 1)
+    values = np.clip((np.stack(planes) - black) / (SENSOR.white_level_dn - black), low, 1)
+    amplified: NDArray[np.float64] = np.clip(values * gain, low, 1)
     return amplified
 
 
@@ -163,13 +149,8 @@ def test_raw_items_are_packed_and_amplified_exactly(clip: str, raw: Path) -> Non
     assert (sample["input"].min() < 0) == (clip == "upper")
 
 
-def damaged(raw: Path, tmp_path: Path) -> Path:
-    shutil.copytree(raw, tmp_path / "DRV")
-    return tmp_path / "DRV"
-
-
 def test_raw_damage_is_named(raw: Path, tmp_path: Path) -> None:
-    folder = damaged(raw, tmp_path)
+    folder = Path(shutil.copytree(raw, tmp_path / "DRV"))
     frame = folder / "short/0007/DSC00999.ARW"
     write_raw(frame, replace(NOISY, iso=Fraction(3200)))
     with pytest.raises(DatasetError, match=r"DSC00999\.ARW: its exposure ratio is 200, that of DSC00998\.ARW 100"):
@@ -194,8 +175,8 @@ def test_raw_damage_is_named(raw: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.memory
-def test_memory_does_not_grow_with_the_number_of_windows(tmp_path: Path) -> None:
-    """Twelve megapixels, thirty windows of five frames (48 MB a packed frame), of which a part is kept.
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
+    """Twelve megapixels, of which a part is kept: thirty windows of five frames (48 MB a packed frame), and the pairs.
 
     A frame decodes into a mosaic of 24 MB and a packed one of 48 MB, and the reference is held beside it: 120 MB. Whole
     frames of one window would take 240 MB.
@@ -205,12 +186,19 @@ def test_memory_does_not_grow_with_the_number_of_windows(tmp_path: Path) -> None
     for number in range(2, 35):
         os.link(tmp_path / "short/0007/DSC00001.ARW", tmp_path / f"short/0007/DSC{number:05d}.ARW")
     write_raw(tmp_path / "long/0007/DSC00001.ARW", REFERENCE, sensor=sensor)
-    dataset = DRVDataset(tmp_path, form="raw", window=5, stride=1, region=(100, 100, 256, 256))
-    assert len(dataset) == 30
+    windows = DRVDataset(tmp_path, form="raw", window=5, stride=1, region=(100, 100, 256, 256))
+    of_clip = {"reference": "long/0007/DSC00001.ARW", "camera": "", "scene": "", "split": "", "iso": None}
+    pairs = SourcePairs(
+        Files(tmp_path),
+        [PairRecord(path, **of_clip, exposure_s=None, ratio=Fraction(100)) for path in windows.clips[0].frames],  # type: ignore[arg-type]
+        crop=256,
+    )
+    assert (len(windows), len(pairs)) == (30, 34)
     process = psutil.Process()
     before = process.memory_info().rss
     largest = 0
-    for index in (0, 10, 20, 29, 1, 2):
-        assert dataset[index]["input"].shape == (5, 4, 256, 256)
-        largest = max(largest, process.memory_info().rss)
+    for dataset in (windows, pairs):
+        for index in (0, 10, 20, 29, 1, 2):
+            assert dataset[index]["input"].shape[-3:] == (4, 256, 256)
+            largest = max(largest, process.memory_info().rss)
     assert largest - before < 200e6

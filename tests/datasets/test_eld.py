@@ -4,31 +4,19 @@ from __future__ import annotations
 
 import shutil
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
-import rawpy
 
 from eldata.datasets import ELDDataset
 from eldata.demo.camera import CAMERAS
 from eldata.errors import DatasetError, RawFileError
 from eldata.manifest.verify import verify
-from tests.datasets.comparing import same_bits
+from tests.datasets.comparing import pack_plainly, same_bits
 from tests.trees import Tree, scale_exposure
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
 CAMERA_OF = {camera.name: camera for camera in CAMERAS}
-
-# Where R, G1, B, G2 stand in the 2x2 cell, as (row, column): RGGB, and the other one BGGR turned (G2 B / R G1).
-SITES = {
-    "DemoAlpha": ((0, 0), (0, 1), (1, 1), (1, 0)),
-    "DemoBeta": ((1, 0), (1, 1), (0, 1), (0, 0)),
-}
 
 
 def demo(tree: Tree, **options: Any) -> ELDDataset:
@@ -36,26 +24,6 @@ def demo(tree: Tree, **options: Any) -> ELDDataset:
 
 
 # --- pixels -------------------------------------------------------------------------------------------------------
-
-
-def plain_packed(path: Path, camera: str, white: float, low: float, high: float) -> NDArray[np.float32]:
-    """The published loader's steps in plain numpy on rawpy's pixels."""
-    with rawpy.imread(str(path)) as raw:
-        dn = raw.raw_image_visible.astype(np.float32)
-    black = CAMERA_OF[camera].sensor.black_level_dn
-    channels = [
-        (dn[y::2, x::2] - np.float32(level)) / (np.float32(white) - np.float32(level))
-        for (y, x), level in zip(SITES[camera], black, strict=True)
-    ]
-    return np.clip(np.stack(channels), np.float32(low), np.float32(high))
-
-
-def plain_sample(
-    tree: Tree, record: Any, white: float, low: float, high: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    noisy = plain_packed(tree.data / record.path, record.camera, white, low, high)
-    target = plain_packed(tree.data / record.reference, record.camera, white, 0, 1)  # the clip is of the input
-    return np.clip(noisy * np.float32(record.ratio), np.float32(low), np.float32(high)), target
 
 
 @pytest.mark.parametrize("levels", ["published", "metadata"])
@@ -66,9 +34,10 @@ def test_samples_equal_a_plain_route_bit_for_bit(pristine: Tree, levels: Any, cl
     assert len(dataset) == 24
     for record, sample in zip(dataset.records, dataset, strict=True):
         white = 16383.0 if levels == "published" else CAMERA_OF[record.camera].sensor.white_level_dn
-        amplified, target = plain_sample(pristine, record, white, low, high)
-        same_bits(sample["input"], amplified)
-        same_bits(sample["target"], target)
+        noisy = np.clip(pack_plainly(pristine.data / record.path, white), low, high)
+        same_bits(sample["input"], np.clip(noisy * np.float32(record.ratio), low, high))
+        target = pack_plainly(pristine.data / record.reference, white)
+        same_bits(sample["target"], np.clip(target, 0, 1))  # the clip is of the input
 
 
 # --- fields -------------------------------------------------------------------------------------------------------
@@ -85,57 +54,35 @@ def test_scalar_fields_are_the_records(pristine: Tree) -> None:
         assert sample["flags"] == ""
 
 
-def test_the_ratio_is_the_files_own(tree: Tree) -> None:
-    """213.3 in place of 200, as in the published set: the input is multiplied by what the files say."""
-    scale_exposure(tree.file(5), Fraction(15, 16))
-    dataset = demo(tree, cameras=["DemoAlpha"], isos=[800], ratios=[200], clip="none")
-    sample = dataset[0]
-    assert sample["ratio"] == float(Fraction(640, 3))
-    assert sample["nominal_ratio"] == 200.0
-    once = plain_packed(tree.file(5), "DemoAlpha", 16383.0, -np.inf, np.inf)
-    same_bits(sample["input"], once * np.float32(Fraction(640, 3)))
-
-
 # --- wrong files --------------------------------------------------------------------------------------------------
 
 
 def test_a_wrong_ratio_names_the_file(tree: Tree) -> None:
     scale_exposure(tree.file(4), Fraction(5, 4))
     dataset = demo(tree, cameras=["DemoAlpha"])
-    with pytest.raises(DatasetError, match="expected an exposure ratio of 100") as raised:
+    with pytest.raises(DatasetError, match=r"IMG_0004\.dng: expected an exposure ratio of 100 .* 80; .*eldata verify"):
         dataset[0]
-    assert str(tree.file(4)) in str(raised.value)
-    assert "80" in str(raised.value)
-    assert "eldata verify" in str(raised.value)
     dataset[1]  # its neighbour is fine
 
 
-@pytest.mark.parametrize("lost", ["noisy", "reference"])
-def test_a_missing_or_broken_file_is_named(tree: Tree, lost: str) -> None:
-    path = tree.file(4 if lost == "noisy" else 6)
-    dataset = demo(tree)
+@pytest.mark.parametrize("number", [4, 6])
+def test_a_missing_or_broken_file_is_named(tree: Tree, number: int) -> None:
+    """A noisy frame, a reference."""
+    path, dataset = tree.file(number), demo(tree)
     path.write_bytes(path.read_bytes()[:3000])
-    with pytest.raises(RawFileError) as raised:
+    with pytest.raises(RawFileError, match=str(path)):
         dataset[0]
-    assert str(path) in str(raised.value)
     path.unlink()
-    with pytest.raises(RawFileError, match="No such file") as raised:
+    with pytest.raises(RawFileError, match=f"{path}: .*No such file"):
         dataset[0]
-    assert str(path) in str(raised.value)
 
 
 # --- wrong arguments ----------------------------------------------------------------------------------------------
 
 
-def test_the_default_root(tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_default_root(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ELDATA_ROOT", str(tree.root))
     assert ELDDataset(manifest=tree.csv).root == tree.data
-    monkeypatch.delenv("ELDATA_ROOT")
-    monkeypatch.chdir(tree.root.parent)
-    assert len(ELDDataset(manifest=tree.csv)) == 12
-    monkeypatch.chdir(tree.data)
-    with pytest.raises(DatasetError, match=r"no such folder; give the folder of .*, which holds DemoAlpha, DemoBeta "):
-        ELDDataset(manifest=tree.csv)[0]
 
 
 def test_a_missing_camera_folder_says_what_to_choose(tree: Tree) -> None:

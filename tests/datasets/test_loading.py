@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from eldata.datasets import loading
 from eldata.datasets.loading import (
     Rank,
     ShuffledSampler,
+    StartMethod,
     current_rank,
     describe,
     evaluation_loader,
@@ -25,10 +27,9 @@ from eldata.datasets.loading import (
     training_loader,
 )
 from eldata.errors import ArgumentError
-from tests.datasets.drawing import Drawing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 
@@ -85,17 +86,16 @@ def test_batches_do_not_depend_on_workers(workers: int, store: Path) -> None:
 
 
 def test_random_numbers_that_a_transform_draws_are_seeded_by_epoch() -> None:
-    def drawn(epoch: int, seed: int = 0) -> list[Any]:
-        loader = training_loader(Drawing(), 2, workers=2, seed=seed)
-        set_epoch(loader, epoch)
-        return [[values.tolist() for values in batch] for batch in loader]
+    """torch seeds its workers' generators, numpy's and random's too, from the loader's."""
 
-    first = drawn(1)
-    assert drawn(1) == first
-    assert drawn(2) != first
-    assert drawn(1, seed=1) != first
-    for kind in range(3):  # no two workers draw the same
-        assert len({value for batch in first for value in batch[kind]}) == 8
+    def seed_at(epoch: int, **options: Any) -> int:
+        loader = training_loader(Numbers(), 2, workers=0, **options)
+        set_epoch(loader, epoch)
+        assert loader.generator is not None
+        return int(loader.generator.initial_seed())
+
+    assert seed_at(1) == seed_at(1)
+    assert len({seed_at(1), seed_at(2), seed_at(1, seed=1), seed_at(1, rank=Rank(1, 2))}) == 4
 
 
 # --- settings -----------------------------------------------------------------------------------------------------
@@ -114,35 +114,43 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Any:
     return made
 
 
-def test_workers_follow_the_cpus(machine: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    machine(cpus=8)
-    count, why = loader_workers(10**6, 2, "forkserver", Rank())
-    assert (count, why.startswith("8 CPUs usable, one left to training; memory for any number")) == (7, True)
-    assert loader_workers(10**6, 2, "forkserver", Rank(0, 4))[0] == 1
-    machine(cpus=1)
-    assert loader_workers(10**6, 2, "forkserver", Rank())[0] == 1
+def test_workers_follow_cpus_and_memory(machine: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 3 GB one half: each worker takes 100 MB, or 300 MB if it is spawned, and 2 batches of 200 MB."""
+    large, small, gigabytes = 200_000_000, 10**6, 10**9
+    cases: list[tuple[dict[str, Any], int, StartMethod, Rank, int, str]] = [
+        ({"cpus": 8}, small, "forkserver", Rank(), 7, "8 CPUs usable, one left to training; memory for any number"),
+        ({"cpus": 8}, small, "forkserver", Rank(0, 4), 1, "8 CPUs usable by 4 ranks"),
+        ({"cpus": 1}, small, "forkserver", Rank(), 1, "1 CPUs"),
+        ({"cpus": 128}, small, "forkserver", Rank(), 16, "more than 16 bring little"),
+        ({"memory": 3 * gigabytes}, large, "forkserver", Rank(), 3, "memory for 3; "),
+        ({"memory": 3 * gigabytes}, large, "spawn", Rank(), 2, "200.0 MB a batch"),
+        ({"shared": gigabytes}, large, "forkserver", Rank(), 2, "shared memory (/dev/shm) for 2"),
+        ({"shared": 64 << 20}, large, "forkserver", Rank(), 0, "shared memory (/dev/shm) for 0"),
+        ({"memory": None, "shared": None}, 0, "forkserver", Rank(), 7, "memory not known"),
+    ]
+    for resources, nbytes, method, rank, wanted, words in cases:
+        machine(**resources)
+        count, why = loader_workers(nbytes, 2, method, rank)
+        assert (count, words in why) == (wanted, True), why
     machine(cpus=128)
-    count, why = loader_workers(10**6, 2, "forkserver", Rank())
-    assert count == 16
-    assert "more than 16 bring little" in why
     monkeypatch.setenv("LOCAL_WORLD_SIZE", "8")  # of 64 ranks, 8 run here
     assert loader_workers(10**6, 2, "forkserver", Rank(0, 64))[0] == 15
 
 
-def test_workers_fit_into_memory(machine: Any) -> None:
-    """Half of 3 GB, each worker 100 MB and 2 batches of 200 MB; then shared memory of 1 GB, and a container's 64 MB."""
-    machine(memory=3_000_000_000)
-    count, why = loader_workers(200_000_000, 2, "forkserver", Rank())
-    assert (count, "memory for 3; " in why, "200.0 MB a batch" in why) == (3, True, True)
-    assert loader_workers(200_000_000, 2, "spawn", Rank())[0] == 2
-    machine(shared=1_000_000_000)
-    assert loader_workers(200_000_000, 2, "forkserver", Rank())[0] == 2
-    machine(shared=64 << 20)
-    count, why = loader_workers(200_000_000, 2, "forkserver", Rank())
-    assert (count, "shared memory (/dev/shm) for 0" in why) == (0, True)
-    machine(memory=None, shared=None)
-    count, why = loader_workers(0, 2, "forkserver", Rank())
-    assert (count, "memory not known" in why, "size of a batch not known" in why) == (7, True, True)
+def test_what_the_machine_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A control group's limits count, as those of a container; and what cannot be asked is not known."""
+    monkeypatch.setattr(loading, "_CGROUP", tmp_path)
+    for name, text in (("cpu.max", "150000 100000"), ("memory.max", "5000000"), ("memory.current", "2000000")):
+        (tmp_path / name).write_text(text)
+    assert (loading.usable_cpus(), loading.available_memory_bytes()) == (1, 3_000_000)
+    monkeypatch.delattr(os, "statvfs")
+    assert loading.shared_memory_bytes() is None
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert [loading._choose_pinning(device)[0] for device in (None, "cuda:1", "cpu")] == [True, True, False]
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.distributed, "get_rank", lambda: 2)
+    monkeypatch.setattr(torch.distributed, "get_world_size", lambda: 4)
+    assert current_rank() == Rank(2, 4)
 
 
 def test_the_description_says_what_the_loader_does(machine: Any, store: Path) -> None:
@@ -172,53 +180,52 @@ class Endless(IterableDataset[int]):
         yield from range(5)
 
 
-class Holding(Dataset[int]):
-    """Holds a function that no other process can find."""
-
-    def __init__(self) -> None:
-        self.transform: Any = lambda value: value
-
+class Numbers(Dataset[int]):
     def __len__(self) -> int:
         return 4
 
     def __getitem__(self, index: int) -> int:
-        return int(self.transform(index))
+        return index
 
 
 def test_a_dataset_that_cannot_be_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ArgumentError, match=r"Holding cannot be sent to workers .*start_method='fork' or workers=0"):
-        training_loader(Holding(), 2, workers=2)
-    assert len(list(training_loader(Holding(), 2, workers=0))) == 2
-    monkeypatch.setattr(Drawing, "__module__", "__main__")
+    dataset = Numbers()
+    dataset.transform = lambda value: value  # type: ignore[attr-defined] # which no other process can find
+    with pytest.raises(ArgumentError, match=r"Numbers cannot be sent to workers .*start_method='fork' or workers=0"):
+        training_loader(dataset, 2, workers=2)
+    assert len(list(training_loader(dataset, 2, workers=0))) == 2
+    monkeypatch.setattr(Numbers, "__module__", "__main__")
     monkeypatch.delattr(sys.modules["__main__"], "__file__", raising=False)
     with pytest.raises(ArgumentError, match="defined in an interactive session, which workers cannot import"):
-        training_loader(Drawing(), 2, workers=2)
+        training_loader(Numbers(), 2, workers=2)
+    assert training_loader(Numbers(), 2, workers=2, start_method="fork").num_workers == 2
 
 
 def test_wrong_arguments(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = pairs(store)
-    wrong: list[tuple[dict[str, Any], str]] = [
-        ({"batch_size": 0}, "batch_size and prefetch must be 1 or more; found 0, 2"),
-        ({"prefetch": 0}, "found 4, 0"),
-        ({"workers": -1}, "workers must be 0 or more; found -1"),
-        ({"seed": -1}, "seed must be 0 or more; found -1"),
-        ({"start_method": "thread"}, "start_method must be one of 'forkserver', 'spawn', 'fork'; found 'thread'"),
-        ({"batch_size": 49}, "48 items for rank 0 of 1 do not fill a batch of 49"),
-        ({"batch_size": 5, "rank": Rank(3, 10)}, "4 items for rank 3 of 10 do not fill a batch of 5"),
+    wrong: list[tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any], str]] = [
+        *(
+            (training_loader, (dataset,), {"batch_size": 4, "workers": 0} | options, words)
+            for options, words in (
+                ({"batch_size": 0}, "batch_size and prefetch must be 1 or more; found 0, 2"),
+                ({"prefetch": 0}, "found 4, 0"),
+                ({"workers": -1}, "workers must be 0 or more; found -1"),
+                ({"seed": -1}, "seed must be 0 or more; found -1"),
+                ({"start_method": "thread"}, "start_method must be one of 'forkserver', 'spawn', 'fork'"),
+                ({"batch_size": 49}, "48 items for rank 0 of 1 do not fill a batch of 49"),
+                ({"batch_size": 5, "rank": Rank(3, 10)}, "4 items for rank 3 of 10 do not fill a batch of 5"),
+            )
+        ),
+        (training_loader, (Endless(), 2), {}, "expected a dataset with len and indices; found Endless"),
+        (evaluation_loader, (5,), {}, "expected a dataset with len and indices; found int"),
+        (evaluation_loader, (Subset(dataset, []),), {}, "Subset holds no items"),
+        (describe, (DataLoader(dataset),), {}, "found another DataLoader"),
+        (Rank, (2, 2), {}, "found 2 of 2"),
+        (set_epoch, (evaluation_loader(dataset, workers=0), 1), {"first_batch": 2}, "only a training loader"),
     ]
-    for options, words in wrong:
+    for work, arguments, options, words in wrong:
         with pytest.raises(ArgumentError, match=words):
-            training_loader(dataset, **{"batch_size": 4, "workers": 0} | options)
-    with pytest.raises(ArgumentError, match="expected a dataset with len and indices; found Endless"):
-        training_loader(Endless(), 2)
-    with pytest.raises(ArgumentError, match="expected a dataset with len and indices; found int"):
-        evaluation_loader(5)  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="Subset holds no items"):
-        evaluation_loader(Subset(dataset, []))
-    with pytest.raises(ArgumentError, match="found another DataLoader"):
-        describe(DataLoader(dataset))
-    with pytest.raises(ArgumentError, match="found 2 of 2"):
-        Rank(2, 2)
+            work(*arguments, **options)
     monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])  # as on Windows
     with pytest.raises(ArgumentError, match="this system has no start method 'forkserver'; take 'spawn'"):
         training_loader(dataset, 4)

@@ -1,6 +1,10 @@
+"""Pairs whose sides are rendered to sRGB: RGB2RGB, Raw2RGB and stages of one's own."""
+
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,24 +18,23 @@ from eldata.datasets.rgb import (
     Rendered,
     StagedPairs,
     continuous,
-    keep_raw,
     of_noisy,
     of_reference,
     raw2rgb,
     rgb2rgb,
 )
 from eldata.datasets.synthetic.pairs import SyntheticPairs
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import Gamma, Rendering, render_pair_for_scoring
 from eldata.isp.response import ResponseCurve
 from eldata.raw import read_raw, write_dng
+from eldata.sources.frames import Frame
 from tests.raw.helpers import make_sensor
 from tests.sources.store.helpers import pack_folder
 from tests.trees import Tree, copy_tree
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from eldata.records import Sensor
 
@@ -100,34 +103,20 @@ def test_rgb2rgb_renders_both(colours: Any, balanced: Tree) -> None:
     chosen = {of_noisy: noisy, of_reference: reference}[colours]
     assert torch.equal(sample["input"], eight_bit(Rendering.of(chosen)(plain["input"])))
     assert torch.equal(sample["target"], eight_bit(Rendering.of(reference)(plain["target"])))
-
-
-def test_stages_of_ones_own(balanced: Tree) -> None:
-    pairs = pairs_of(balanced)
     linear = Rendered(of_reference, Gamma(1), continuous)
-    staged = StagedPairs(pairs, stage_in=keep_raw, stage_out=linear)
-    plain, sample = pairs[0], staged[0]
-    _, reference = sensors_of(balanced, plain)
-    assert torch.equal(sample["target"], Rendering.of(reference, Gamma(1))(plain["target"]))
-    both = StagedPairs(pairs, stage_in=lambda image, _: image * 2, stage_out=keep_raw)[0]
-    assert torch.equal(both["input"], plain["input"] * 2)
-    assert torch.equal(both["target"], plain["target"])
+    own = StagedPairs(pairs, stage_in=lambda image, _: image * 2, stage_out=linear)[0]
+    assert torch.equal(own["input"], plain["input"] * 2)
+    assert torch.equal(own["target"], Rendering.of(reference, Gamma(1))(plain["target"]))
 
 
 # --- stores and synthetic noise -----------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def clean(pristine: Tree) -> list[Path]:
-    return sorted((pristine.data / CAMERA).rglob("IMG_0001.dng"))
-
-
-def test_synthetic_pairs_have_their_clean_files_colours(clean: list[Path], tmp_path: Path) -> None:
-    folder = tmp_path / "clean"
-    folder.mkdir()
-    (folder / "one.dng").write_bytes(clean[0].read_bytes())
-    sensor = read_raw(clean[0]).sensor
-    for source in (CleanFrames(folder), CleanFrames(pack_folder(folder, tmp_path / "clean.h5").store)):
+def test_synthetic_pairs_have_their_clean_files_colours(pristine: Tree, tmp_path: Path) -> None:
+    (tmp_path / "clean").mkdir()
+    clean = Path(shutil.copy(pristine.file(1), tmp_path / "clean"))
+    sensor = read_raw(clean).sensor
+    for source in (CleanFrames(clean.parent), CleanFrames(pack_folder(clean.parent, tmp_path / "clean.h5").store)):
         pairs = SyntheticPairs(source, "SonyA7S2", crop=16, seed=3)
         pairs.set_epoch(0)
         plain, sample = pairs[0], rgb2rgb(pairs)[0]
@@ -145,6 +134,15 @@ def test_arrays_need_a_sensor_from_the_caller() -> None:
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------
+
+
+def test_what_has_no_epochs_or_sensor_is_refused(pristine: Tree) -> None:
+    with pytest.raises(ArgumentError, match="list has no epochs"):
+        raw2rgb([], sensors=lambda _: PairSensors(make_sensor(), make_sensor())).set_epoch(0)  # type: ignore[arg-type]
+    staged = raw2rgb(pairs_of(pristine))
+    staged.sensors.source.frame = lambda path: Frame.of_rgb(np.zeros((3, 2, 2), np.uint16), path)  # type: ignore[attr-defined]
+    with pytest.raises(DatasetError, match="is not a raw file, whose sensor a stage needs"):
+        staged[0]
 
 
 def test_the_repr_names_the_stages(balanced: Tree) -> None:

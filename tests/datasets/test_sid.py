@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import rawpy
 
 from eldata import SIDDataset
 from eldata.errors import ArgumentError
 from eldata.manifest.catalogue import shipped_manifest
-from tests.datasets.comparing import same_bits
-from tests.raw.helpers import sid_pack
+from tests.cases import in_one_test
+from tests.datasets.comparing import pack_plainly, same_bits
 from tests.sid_tree import SENSORS, frames_of, write_frames
 from tests.trees import scale_exposure
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from eldata.datasets.base import Sample
+    from eldata.records import PairRecord
 
 CAMERAS = ("sony", "fuji")
 
@@ -48,35 +48,13 @@ def sid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def own(sid: Path, tmp_path: Path) -> Path:
-    """A copy of one's own."""
-    return Path(shutil.copytree(sid, tmp_path / "SID"))
-
-
-def some(camera: Any, root: Path, **options: Any) -> SIDDataset:
+def some(camera: Any, root: Path, **options: Any) -> list[tuple[PairRecord, Sample]]:
     """The pairs whose files are there."""
     dataset = SIDDataset(root, camera=camera, scenes=SCENES[camera], **options)
-    dataset.records = tuple(record for record in dataset.records if record.path in NOISY[camera])
-    return dataset
+    return [(record, dataset[n]) for n, record in enumerate(dataset.records) if record.path in NOISY[camera]]
 
 
 # --- pixels -------------------------------------------------------------------------------------------------------
-
-
-def plain_packed(path: Path, black: float | None, white: float) -> NDArray[np.float32]:
-    """Packed and normalised as the ELD and SID code do it, in numpy on rawpy's pixels, without any clip."""
-    with rawpy.imread(str(path)) as raw:
-        dn = raw.raw_image_visible.astype(np.float32)
-        own = raw.black_level_per_channel
-    if path.suffix == ".ARW":
-        planes = np.stack([dn[0::2, 0::2], dn[0::2, 1::2], dn[1::2, 1::2], dn[1::2, 0::2]])
-        level = np.array(own if black is None else [black] * 4, np.float32)[:, None, None]
-    else:
-        planes = sid_pack(dn[: dn.shape[0] // 6 * 6, : dn.shape[1] // 6 * 6])
-        level = np.array([own[0] if black is None else black], np.float32)[:, None, None]
-    packed: NDArray[np.float32] = (planes - level) / (np.float32(white) - level)
-    return packed
 
 
 LEVELS = {
@@ -94,29 +72,29 @@ LEVELS = {
 def test_samples_equal_a_plain_route_bit_for_bit(camera: str, levels: str, clip: str, sid: Path) -> None:
     black, white = LEVELS[camera, levels]
     low = np.float32(0 if clip == "both" else -np.inf)
-    dataset = some(camera, sid, levels=levels, clip=clip)
-    assert len(dataset) == len(NOISY[camera])
-    for record, sample in zip(dataset.records, dataset, strict=True):
-        noisy = np.clip(plain_packed(sid / record.path, black, white), low, np.float32(1))
+    pairs = some(camera, sid, levels=levels, clip=clip)
+    assert len(pairs) == len(NOISY[camera])
+    for record, sample in pairs:
+        noisy = np.clip(pack_plainly(sid / record.path, white, black), low, np.float32(1))
         same_bits(sample["input"], np.clip(noisy * np.float32(record.ratio), low, np.float32(1)))
-        target = plain_packed(sid / record.reference, black, white)
+        target = pack_plainly(sid / record.reference, white, black)
         same_bits(sample["target"], np.clip(target, np.float32(0), np.float32(1)))
 
 
 # --- fields -------------------------------------------------------------------------------------------------------
 
 
-def test_the_input_is_multiplied_by_the_nominal_ratio_as_published(own: Path) -> None:
+def test_the_input_is_multiplied_by_the_nominal_ratio_as_published(sid: Path, tmp_path: Path) -> None:
     """EXIF that has 0.033 s in place of 1/30: 303 by EXIF, 300 by the published rule."""
-    name = "Sony/short/10185_00_0.033s.ARW"
+    name, own = "Sony/short/10185_00_0.033s.ARW", Path(shutil.copytree(sid, tmp_path / "SID"))
     scale_exposure(own / name, Fraction(990, 1000))
     by = {}
     for amplification in ("nominal", "metadata"):
-        dataset = some("sony", own, amplification=amplification, clip="none")
-        (by[amplification],) = [sample for sample in dataset if sample["path"] == name]
+        pairs = some("sony", own, amplification=amplification, clip="none")
+        (by[amplification],) = [sample for record, sample in pairs if record.path == name]
     assert (by["nominal"]["ratio"], by["nominal"]["nominal_ratio"]) == (300.0, 300.0)
     assert (by["metadata"]["ratio"], by["metadata"]["nominal_ratio"]) == (float(Fraction(10000, 33)), 300.0)
-    once = plain_packed(own / name, None, 16383.0)
+    once = pack_plainly(own / name, 16383.0)
     same_bits(by["nominal"]["input"], once * np.float32(300))
     same_bits(by["metadata"]["input"], once * np.float32(Fraction(10000, 33)))
 
@@ -136,8 +114,8 @@ def test_a_frame_of_uncertain_iso_is_read(tmp_path: Path) -> None:
 # --- choices of pairs ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("options", "count"),
+@in_one_test(
+    "options, count",
     [
         ({}, 2697),
         ({"camera": "fuji"}, 2397),
@@ -147,12 +125,12 @@ def test_a_frame_of_uncertain_iso_is_read(tmp_path: Path) -> None:
         ({"scenes": ["10034", 1]}, 24),
     ],
 )
-def test_choices(options: dict[str, Any], count: int, sid: Path) -> None:
-    assert len(SIDDataset(sid, **options)) == count
+def test_choices(options: dict[str, Any], count: int) -> None:
+    assert len(SIDDataset("none", **options)) == count
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
+@in_one_test(
+    "options, said",
     [
         ({"camera": "Sony"}, "camera must be one of 'sony', 'fuji'; found 'Sony'"),
         ({"split": "dev"}, "split must be one of 'train', 'val', 'test', 'eval'; found 'dev'"),
@@ -160,6 +138,6 @@ def test_choices(options: dict[str, Any], count: int, sid: Path) -> None:
         ({"amplification": "exif"}, "amplification must be one of 'metadata', 'nominal'; found 'exif'"),
     ],
 )
-def test_unknown_values_list_the_known(options: dict[str, Any], said: str, sid: Path) -> None:
+def test_unknown_values_list_the_known(options: dict[str, Any], said: str) -> None:
     with pytest.raises(ArgumentError, match=said):
-        SIDDataset(sid, **options)
+        SIDDataset("none", **options)

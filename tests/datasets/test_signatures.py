@@ -1,4 +1,4 @@
-"""Keywords stand in signatures with their defaults: what an editor and ``help()`` show of each dataset and loader."""
+"""Keywords stand in signatures with their defaults: what an editor and ``help()`` show of each dataset."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from eldata import datasets
-from eldata.sources import store
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+NEEDED = inspect.Parameter.empty
 CHOICE: dict[str, Any] = dict.fromkeys(("cameras", "scenes", "isos", "ratios", "split", "subset"))
 CHOICE["exclude_flags"] = ()
 VALUES: dict[str, Any] = {"levels": None, "clip": "both", "amplification": "metadata", "dark_shading": None}
@@ -24,15 +24,12 @@ WINDOWS: dict[str, Any] = {
     **CHOICE, **VALUES, **CROPS, "levels": "metadata",
     "ids": None, "window": 5, "stride": None, "frames": "all", "region": None, "crops_per_window": 1,
 }  # fmt: skip
+DRV: dict[str, Any] = {"root": None, "form": "preprocessed", "dynamic": False, "manifest": None, "reference": "*"}
 NOISE: dict[str, Any] = {
-    "model": None, "clip": "both", "ratio": (100.0, 300.0), "iso": None, "range_dn": None, "row": None,
+    "source": NEEDED, "profiles": NEEDED, "model": None, "clip": "both", "ratio": (100.0, 300.0), "iso": None,
+    "range_dn": None, "row": None,
     "extrapolate": False, **PACKED,
 }  # fmt: skip
-LOADER: dict[str, Any] = {
-    "workers": None, "seed": 0, "device": None, "prefetch": 2, "start_method": "forkserver", "collate": None,
-    "rank": None,
-}  # fmt: skip
-NEEDED = inspect.Parameter.empty
 
 SIGNATURES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (datasets.PairDataset, PAIRS | {"root": NEEDED, "manifest": NEEDED}),
@@ -43,20 +40,11 @@ SIGNATURES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (datasets.SIDDDataset, PAIRS | {"manifest": None}),
     (datasets.PackedStore, CHOICE | VALUES | PACKED | {"path": NEEDED, "crops_per_frame": 1}),
     (datasets.SourcePairs, PAIRED | {"source": NEEDED, "records": NEEDED, "name": "", "levels": "metadata"}),
-    (
-        datasets.DRVDataset,
-        {**WINDOWS, "root": None, "form": "preprocessed", "dynamic": False, "manifest": None, "reference": "*"},
-    ),
+    (datasets.DRVDataset, WINDOWS | DRV),
     (datasets.CRVDDataset, WINDOWS | {"root": None, "shots": range(10), "manifest": "crvd"}),
     (datasets.PackedClips, WINDOWS | PACKED | {"path": NEEDED, "dynamic": False}),
-    (datasets.SyntheticPairs, NOISE | {"source": NEEDED, "profiles": NEEDED, "crops_per_frame": 1}),
-    (
-        datasets.SyntheticClips,
-        {**NOISE, "source": NEEDED, "profiles": NEEDED, "frames": 5, "windows_per_clip": 1},
-    ),
-    (datasets.training_loader, LOADER | {"dataset": NEEDED, "batch_size": NEEDED}),
-    (datasets.evaluation_loader, LOADER | {"dataset": NEEDED, "batch_size": 1}),
-    (store.source_of_dataset, CHOICE | {"name": NEEDED, "root": None, "manifest": None, "ids": None}),
+    (datasets.SyntheticPairs, NOISE | {"crops_per_frame": 1}),
+    (datasets.SyntheticClips, NOISE | {"frames": 5, "windows_per_clip": 1}),
 ]
 
 

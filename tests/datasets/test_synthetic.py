@@ -20,51 +20,29 @@ from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile, NoiseModel
 from eldata.raw import write_dng
-from eldata.raw.levels import pack_normalised, unpack
-from eldata.sources.frames import Frame
+from eldata.raw.levels import unpack
 from tests.cases import in_one_test
 from tests.datasets.comparing import same
-from tests.evaluation.test_way_of_a_score import modules_called
+from tests.datasets.mosaics import Mosaics
 from tests.raw.helpers import (
     BAYER,
     CFAS,
     EXPOSURE,
     NONA,
-    Cfa,
     colours_of,
     layout_of,
-    levels_of,
     make_sensor,
     random_mosaic,
     start_of,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-# Python 3.12 and later warn of any fork in a process that has threads.
-pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-
 NUMBERS = ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
-
-
-class Mosaics:
-    """A source of given mosaics."""
-
-    def __init__(
-        self, mosaics: Sequence[NDArray[Any]], cfa: Cfa, *, black: float = 0.0, white: float = 65535.0
-    ) -> None:
-        self.mosaics, self.cfa, self.black, self.white = mosaics, cfa, black, white
-
-    def __len__(self) -> int:
-        return len(self.mosaics)
-
-    def frame(self, index: int) -> Frame:
-        levels = (self.black,) * levels_of(self.cfa)
-        return Frame(self.mosaics[index], self.cfa, levels, self.white, f"mosaic {index}")
 
 
 @pytest.fixture(scope="module")
@@ -79,10 +57,6 @@ def pairs(source: Any, profiles: Any = "SonyA7S2", **options: Any) -> SyntheticP
     return SyntheticPairs(source, profiles, **{"crop": 8} | options)
 
 
-def arrays(packed: Any, **options: Any) -> Arrays:
-    return Arrays(packed, **options)
-
-
 def items(dataset: SyntheticPairs) -> list[SyntheticSample]:
     return [dataset[index] for index in range(len(dataset))]
 
@@ -91,22 +65,19 @@ def raw_pairs(folder: Path, **options: Any) -> SyntheticPairs:
     return pairs(CleanFrames(folder), ("SonyA7S2", "NikonD850"), **{"crops_per_frame": 4, "seed": 3} | options)
 
 
-def different(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
-    assert not torch.equal(first["input"], second["input"])
-    assert first["gain_dn_per_e"] != second["gain_dn_per_e"]
-    assert first["ratio"] != second["ratio"]
-
-
 # --- what an item depends on ----------------------------------------------------------------------------------------
 
 
 def test_an_item_depends_on_seed_epoch_and_index_alone(folder: Path) -> None:
+    """In any order, in batches, which are made at once, and of frames that are kept."""
     reference = items(raw_pairs(folder))
     assert len(reference) == 12
     shuffled = raw_pairs(folder)
     shuffled.set_epoch(0)
     for index in [*np.random.default_rng(0).permutation(12).tolist(), 5, 5, -1, -12]:
         same(shuffled[index], reference[index])
+    for number, batch in enumerate(DataLoader(shuffled, batch_size=5)):
+        same(batch, default_collate(reference[5 * number : 5 * number + 5]))
     other = raw_pairs(folder)
     other.set_epoch(7)
     assert [item["path"] for item in items(other)] == [item["path"] for item in reference]
@@ -115,18 +86,10 @@ def test_an_item_depends_on_seed_epoch_and_index_alone(folder: Path) -> None:
     kept = SyntheticPairs(CleanFrames(folder, keep=3), ("SonyA7S2", "NikonD850"), crop=8, crops_per_frame=4, seed=3)
     for index in range(12):
         same(kept[index], reference[index])
-        different(kept[index], reference[index])
-
-
-def test_batches_hold_the_items(folder: Path) -> None:
-    """Which are made at once; the last, smaller batch too."""
-    dataset = raw_pairs(folder)
-    dataset.set_epoch(1)
-    for number, batch in enumerate(DataLoader(dataset, batch_size=5)):
-        wanted = default_collate([dataset[index] for index in range(5 * number, min(5 * number + 5, 12))])
-        assert list(batch) == list(wanted)
-        for key, value in wanted.items():
-            assert torch.equal(batch[key], value) if isinstance(value, torch.Tensor) else batch[key] == value, key
+        again = kept[index]
+        assert not torch.equal(again["input"], reference[index]["input"])
+        assert again["gain_dn_per_e"] != reference[index]["gain_dn_per_e"]
+        assert again["ratio"] != reference[index]["ratio"]
 
 
 # --- where the pixels come from -------------------------------------------------------------------------------------
@@ -137,67 +100,39 @@ def numbered(height: int, width: int) -> NDArray[np.uint16]:
     return np.arange(height * width, dtype=np.uint16).reshape(height, width)
 
 
-def places(item: SyntheticSample, cfa: Cfa, width: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Row and column, in the clean frame, of each pixel of the target's mosaic."""
-    value = np.rint(unpack(item["target"].numpy().astype(np.float64), start_of(cfa)) * 65535).astype(np.int64)
-    return value // width, value % width
-
-
-@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-42", "quad-31", "nona-25"])
-def test_a_target_is_an_exact_crop_of_the_normalised_frame(name: str) -> None:
-    cfa = {**CFAS, **NONA}[name]
-    mosaic = numbered(121, 123)
-    source = Mosaics([mosaic], cfa, black=64.0, white=16000.0)
-    whole = pack_normalised(mosaic, cfa, source.frame(0).black_level_dn, 16000.0)
-    starts = set()
-    for item in items(pairs(source, crop=6, augment=False, crops_per_frame=60)):
-        target = item["target"].numpy()
-        inside = np.flatnonzero((target[0] > 0) & (target[0] < 1))
-        if inside.size == 0:
-            continue
-        y, x = np.unravel_index(inside[0], target.shape[1:])
-        ((row, column),) = np.argwhere(whole[0] == target[0, y, x])
-        top, left = int(row - y), int(column - x)
-        np.testing.assert_array_equal(target, whole[:, top : top + 6, left : left + 6])
-        starts.add((top, left))
-    assert len(starts) > 30
-
-
-@pytest.mark.parametrize("name", [*BAYER, "xtrans-15", "xtrans-42", "quad-13", "nona-25"])
-def test_all_eight_orientations_occur_and_keep_the_cfa(name: str) -> None:
+@pytest.mark.parametrize("augment", [False, True])
+@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-15", "xtrans-42", "quad-13", "nona-25"])
+def test_all_eight_orientations_occur_and_keep_the_cfa(name: str, augment: bool) -> None:
     """150 items: one of eight is missed with probability 2e-8."""
     cfa = {**CFAS, **NONA}[name]
-    height, width = 91, 99
-    colours = colours_of(cfa)
-    period = len(cfa)
-    seen = set()
-    for item in items(pairs(Mosaics([numbered(height, width)], cfa), crop=6, crops_per_frame=150)):
-        rows, columns = places(item, cfa, width)
-        side = 6 * layout_of(cfa)[2]
-        assert rows.shape == (side, side)
+    height, width, period, side = 91, 99, len(cfa), 6 * layout_of(cfa)[2]
+    y, x = np.mgrid[:side, :side]
+    source = Mosaics([numbered(height, width)], cfa)
+    found, starts = set(), set()
+    for item in items(pairs(source, crop=6, crops_per_frame=150, augment=augment)):
+        value = np.rint(item["target"].numpy().astype(np.float64) * 65535).astype(np.int64)
+        rows, columns = np.divmod(unpack(value, start_of(cfa)), width)
         # Neighbours stay neighbours, in one direction.
         down = rows[1, 0] - rows[0, 0], columns[1, 0] - columns[0, 0]
         right = rows[0, 1] - rows[0, 0], columns[0, 1] - columns[0, 0]
-        y, x = np.mgrid[:side, :side]
-        np.testing.assert_array_equal(rows, rows[0, 0] + down[0] * y + right[0] * x)
+        np.testing.assert_array_equal(rows, rows[0, 0] + down[0] * y + right[0] * x, strict=True)
         np.testing.assert_array_equal(columns, columns[0, 0] + down[1] * y + right[1] * x)
-        seen.add((*map(int, down), *map(int, right)))
+        found.add((*map(int, down), *map(int, right)))
+        starts.add((rows[0, 0], columns[0, 0]))
         # Each packed channel holds its own colour.
-        value = np.rint(item["target"].numpy().astype(np.float64) * 65535).astype(np.int64)
-        for channel, colour in zip(value, colours, strict=True):
-            found = {
-                "RGBG"[cfa[a % period][b % period]] for a, b in zip(*np.divmod(channel.ravel(), width), strict=True)
-            }
-            assert found == {colour}
+        for channel, colour in zip(value, colours_of(cfa), strict=True):
+            places = zip(*np.divmod(channel.ravel(), width), strict=True)
+            assert {"RGBG"[cfa[row % period][column % period]] for row, column in places} == {colour}
     ways = {(s, 0, 0, t) for s in (1, -1) for t in (1, -1)} | {(0, s, t, 0) for s in (1, -1) for t in (1, -1)}
-    assert seen == ways
+    assert found == (ways if augment else {(1, 0, 0, 1)})
+    assert len(starts) > 30
 
 
 # --- the noise ------------------------------------------------------------------------------------------------------
 
 
 def flat(**options: Any) -> SyntheticPairs:
-    source = arrays(np.full((1, 4, 16, 16), 0.3, np.float32), range_dn=15871.0)
+    source = Arrays(np.full((1, 4, 16, 16), 0.3, np.float32), range_dn=15871.0)
     return pairs(**{"source": source, "crops_per_frame": 200} | options)
 
 
@@ -302,15 +237,11 @@ def test_the_dataset_decides_the_clip_as_for_pairs_to_test_on() -> None:
     given = NoiseModel()
     flat(model=given, clip="upper")
     assert given.clip is None
+    beyond = Arrays(np.linspace(-0.5, 1.5, 4 * 16 * 16, dtype=np.float32).reshape(1, 4, 16, 16), range_dn=15871.0)
+    for clip in limits:  # the target is light
+        light = pairs(beyond, clip=clip)[0]["target"]
+        assert (float(light.min()), float(light.max())) == (0, 1)
     assert torch.equal(torch.stack([item["input"] for item in items(flat(**bright, model=given))]), free.clamp(0, 1))
-
-
-def test_the_target_is_light_whatever_the_clip() -> None:
-    source = arrays(np.linspace(-0.5, 1.5, 4 * 16 * 16, dtype=np.float32).reshape(1, 4, 16, 16), range_dn=15871.0)
-    wanted = pairs(source)[0]["target"]
-    assert (float(wanted.min()), float(wanted.max())) == (0, 1)
-    for clip in ("upper", "none"):
-        assert torch.equal(pairs(source, clip=clip)[0]["target"], wanted)
 
 
 # --- refusals -------------------------------------------------------------------------------------------------------
@@ -379,33 +310,35 @@ def test_the_range_of_the_simulated_camera_decides_the_noise() -> None:
     assert text.endswith("ratio: 100 to 300; items: 200 items, crop=8, augment=False, crops_per_frame=200, seed=5)")
 
 
-@pytest.mark.parametrize(("black", "white"), [(128.0, 4095.0), (0.0, 65535.0), (2048.0, 13583.0)])
+@pytest.mark.parametrize(("black", "white"), [(128.0, 4095.0), (0.0, 65535.0)])
 def test_files_of_other_bits_are_refused_with_both_ranges(black: float, white: float, tmp_path: Path) -> None:
-    """Under levels that are stated for them as well; 14 bits that end at 13583 are on the profile's scale."""
-    sensor = make_sensor(black_level_dn=(black,) * 4, white_level_dn=white)
-    clean = tmp_path / "clean"
-    clean.mkdir()
-    write_dng(clean / "a.dng", np.full((60, 64), round(black + 0.2 * (white - black)), np.uint16), sensor, EXPOSURE)
-    out, recipe = tmp_path / "out", Recipe(CameraProfile.load("SonyA7S2"))
-    if white == 13583:
-        assert pairs(CleanFrames(clean))[0]["target"].mean() == pytest.approx(0.2, abs=1e-4)
-        assert synthesize(clean, out, recipe).card.counts["noisy"] == 1
-        return
+    """Under levels that are stated for them as well."""
+    clean = write_level(tmp_path / "clean", black, white)
     for levels in ("metadata", "published"):
         words = rf"a.dng: has {white - black:g} DN .* SonyA7S2 .* have 15871; range_dn=15871 makes"
         with pytest.raises(DatasetError, match=words):
             pairs(CleanFrames(clean, levels=levels))[0]
     with pytest.raises(DatasetError, match=rf"a.dng: has {white - black:g} DN .* 15871; the noisy files are like"):
-        synthesize(clean, out, recipe)
+        synthesize(clean, tmp_path / "out", Recipe(CameraProfile.load("SonyA7S2")))
     given = pairs(CleanFrames(clean), range_dn=15871.0)[0]
     shares = np.full((1, 4, 30, 32), given["target"][0, 0, 0], np.float32)
-    wanted = pairs(arrays(shares, range_dn=15871.0))[0]
+    wanted = pairs(Arrays(shares, range_dn=15871.0))[0]
     assert torch.allclose(given["input"], wanted["input"], atol=1e-3)
     assert pairs(CleanFrames(clean), "CanonEOS5D4")[0]["input"].shape == (4, 8, 8)  # whose levels are not known
 
 
-def test_one_item_passes_few_modules(folder: Path) -> None:
-    dataset = pairs(CleanFrames(folder, keep=3), crops_per_frame=4)
-    items(dataset)  # what is computed once, such as kernels
-    passed, _ = modules_called(dataset.__getitem__, 0)
-    assert len(passed) <= 15, sorted(passed)
+def write_level(folder: Path, black: float, white: float) -> Path:
+    """Write a flat of a fifth of the range."""
+    folder.mkdir()
+    sensor = make_sensor(black_level_dn=(black,) * 4, white_level_dn=white)
+    write_dng(folder / "a.dng", np.full((60, 64), round(black + 0.2 * (white - black)), np.uint16), sensor, EXPOSURE)
+    return folder
+
+
+@pytest.mark.parametrize("share", [0.68, 1.0, 1.48])
+def test_files_of_other_white_levels_are_taken(share: float, tmp_path: Path) -> None:
+    """Up to 1.5 times as many DN as the profile's 15871 from black to white, or as much fewer."""
+    clean = write_level(tmp_path / "clean", 512.0, 512.0 + round(15871 * share))
+    assert pairs(CleanFrames(clean))[0]["target"].mean() == pytest.approx(0.2, abs=1e-4)
+    made = synthesize(clean, tmp_path / "out", Recipe(CameraProfile.load("SonyA7S2")))
+    assert made.card.counts["noisy"] == 1

@@ -12,7 +12,7 @@ import torch
 
 from eldata.datasets.clean import Arrays, CleanClips
 from eldata.datasets.synthetic.pairs import SyntheticClips
-from eldata.errors import DatasetError
+from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import NoiseParameters
 from eldata.raw import write_dng
 from eldata.raw.levels import pack_normalised
@@ -21,9 +21,6 @@ from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-# Python 3.12 and later warn of any fork in a process that has threads.
-pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
 NUMBERS = ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
 RANGE_DN = 15871.0
@@ -88,12 +85,12 @@ def test_sizes_and_levels_of_one_clip_must_agree(tmp_path: Path) -> None:
     sensor = make_sensor()
     write_dng(tmp_path / "1.dng", random_mosaic(60, 64), sensor, EXPOSURE)
     for other, message in (
-        (replace(sensor, height=62), "size"),
-        (make_sensor(BAYER["BGGR"]), "CFA"),
-        (replace(sensor, white_level_dn=15000.0), "white level"),
+        (replace(sensor, height=62), "62 x 64 pixels"),
+        (make_sensor(BAYER["BGGR"]), "60 x 64 pixels of the CFA"),
+        (replace(sensor, white_level_dn=15000.0), ".* white level 15000 DN"),
     ):
         write_dng(tmp_path / "2.dng", random_mosaic(other.height, 64), other, EXPOSURE)
-        with pytest.raises(DatasetError, match=f"2.dng: {message} .* is it one clip?"):
+        with pytest.raises(DatasetError, match=f"2.dng: has {message}.*, but .*1.dng has .* is it one clip?"):
             clips(CleanClips(tmp_path), frames=2)[0]
 
 
@@ -142,3 +139,5 @@ def test_clips_that_are_too_short(folder: Path) -> None:
     with pytest.raises(DatasetError, match="4 frames are too few for a window of 5"):
         dataset[0]
     assert dataset[1]["input"].shape[0] == 5
+    with pytest.raises(ArgumentError, match="frames and windows_per_clip must be 1 or more; found 0, 3"):
+        raw_clips(folder, frames=0)

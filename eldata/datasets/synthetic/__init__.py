@@ -1,1 +1,1 @@
-"""Synthetic pairs and clips: what is drawn, noise made on the fly, and sets of it on disk."""
+"""Synthetic pairs and clips: draws, noise made on the fly, and sets of it on disk."""

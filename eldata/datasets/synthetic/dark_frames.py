@@ -1,7 +1,7 @@
 """Dark frames as noise: the read noise of real bias frames, for component D of a noise model.
 
-What no formula says of a sensor (its fixed pattern, how the noise of neighbours goes together, banding, telegraph
-pixels) is in its dark frames. To add a whole one is to have all of it.
+Dark frames hold the noise that no formula describes: the fixed pattern, correlations of neighbours, banding, telegraph
+pixels. Adding a whole frame adds all of it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from eldata.datasets.batches import Field, new_arrays
-from eldata.datasets.calibration_frames import CalibrationFrames, chosen_camera
+from eldata.datasets.calibration_frames import CalibrationFrames, choose_camera
 from eldata.datasets.clean import CleanFrames
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, check_choice
@@ -32,9 +32,7 @@ if TYPE_CHECKING:
     from eldata.sources.frames import Frame
 
 Place = Literal["same", "free"]
-PLACES: tuple[Place, ...] = get_args(Place)
 ShadingFrom = Literal["these", "others"]
-SHADING_FROM: tuple[ShadingFrom, ...] = get_args(ShadingFrom)
 
 GAIN_SPREAD = 0.01
 """K of an item lies within this share of its ISO's, uniformly, as in PMN (H. Feng et al., TPAMI 2023)."""
@@ -114,8 +112,8 @@ class DarkFrames:
         dither: bool = True,
         keep: int = 0,
     ) -> None:
-        check_choice("place", place, PLACES)
-        check_choice("shading_from", shading_from, SHADING_FROM)
+        check_choice("place", place, get_args(Place))
+        check_choice("shading_from", shading_from, get_args(ShadingFrom))
         self.place: Place = place
         self.dither = dither
         self._where, self._frames, there = _find_frames(frames, camera, levels, keep)
@@ -123,19 +121,19 @@ class DarkFrames:
             _check_iso(iso, there, self._where)
         self._numbers = {iso: there[iso] for iso in sorted(there) if isos is None or iso in isos}
         if not self._numbers:
-            raise ArgumentError(f"isos is empty; there are {_listed(there)}")
+            raise ArgumentError(f"isos is empty; there are {_list_isos(there)}")
         # A file is decoded to be looked at, and may be kept; of a store nothing is read.
-        look = self._frames.opened if self._frames.reads_parts else self._frames.frame
+        look = self._frames.open_frame if self._frames.reads_parts else self._frames.frame
         self._first = {iso: look(numbers[0]).without_pixels() for iso, numbers in self._numbers.items()}
         for iso, numbers in self._numbers.items():
             self._check(self._first[iso], iso)
             for number in numbers if self._frames.reads_parts else ():  # files are checked when they are decoded
                 self._check(look(number), iso)
         self.shading = None if shading is None else DarkShading.of(shading)
-        self._scale = self._checked_scales(shading_from)
+        self._scale = self._find_scales(shading_from)
 
-    def _checked_scales(self, shading_from: ShadingFrom) -> dict[float, float]:
-        """Return by ISO what is left of a frame is times, once the shading is known to be of these frames' sensor."""
+    def _find_scales(self, shading_from: ShadingFrom) -> dict[float, float]:
+        """Find the factor of a frame less its shading, by ISO; refuse a shading of another sensor."""
         if self.shading is None:
             return {}
         scales = {}
@@ -280,7 +278,7 @@ class DarkFrames:
 
 def _check_iso(iso: float, known: Collection[float], where: str) -> None:
     if iso not in known:
-        raise ArgumentError(f"{where}: there are no dark frames of ISO {iso:g}; there are {_listed(known)}")
+        raise ArgumentError(f"{where}: there are no dark frames of ISO {iso:g}; there are {_list_isos(known)}")
 
 
 def _find_frames(
@@ -299,7 +297,7 @@ def _find_frames(
                 f"{source.path}: holds no bias frames; eldata pack makes such a store of the folder that holds "
                 "bias/ISO<iso>/... of a camera"
             )
-        where, isos = str(frames), paths[chosen_camera(camera, paths, str(source.path))]
+        where, isos = str(frames), paths[choose_camera(camera, paths, str(source.path))]
         names = [f"{source.path.as_posix()}/{path}" for path in isos]
         files = CleanFrames(source, names=names, levels=levels, keep=keep)
     else:
@@ -320,5 +318,5 @@ def _find_frames(
     return where, files, numbers
 
 
-def _listed(isos: Collection[float]) -> str:
+def _list_isos(isos: Collection[float]) -> str:
     return ", ".join(f"{iso:g}" for iso in sorted(isos))

@@ -239,11 +239,11 @@ class Turns:
         change places with others from the middle, so that a round's end is what was drawn, and no round depends on more
         than the one before.
         """
-        order = self._drawn(group, turn_round)
+        order = self._draw_order(group, turn_round)
         edge = self.each - 1
         if edge == 0 or turn_round == 0:
             return order
-        last = set(self._drawn(group, turn_round - 1)[-edge:].tolist())
+        last = set(self._draw_order(group, turn_round - 1)[-edge:].tolist())
         others = (place for place in range(edge, len(order) - edge) if order[place] not in last)
         for place in range(edge):
             if order[place] in last:
@@ -251,7 +251,7 @@ class Turns:
                 order[place], order[other] = order[other], order[place]
         return order
 
-    def _drawn(self, group: int, turn_round: int) -> NDArray[np.int64]:
+    def _draw_order(self, group: int, turn_round: int) -> NDArray[np.int64]:
         sequence = purpose_sequence(self.seed, 0, _MEMBERS, group, turn_round)
         return np.random.default_rng(sequence).permutation(self.sizes[group])
 

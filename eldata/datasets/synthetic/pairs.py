@@ -83,12 +83,8 @@ class NoisyItems(CroppedItems[Sample]):
         self._turns = None if self._dark is None else _make_turns(owner, self._dark, self.noise, self.seed, exposures)
         records = map(getattr(source, method), range(len(source)))
         self._count_items(len(source), records if method == "frame" else (clip.frame(0) for clip in records))
-        self._length = self._length_of(len(source))
 
-    def __len__(self) -> int:
-        return self._length
-
-    def _noisy(
+    def _draw_noise(
         self,
         place: int,
         generator: np.random.Generator,
@@ -106,10 +102,10 @@ class NoisyItems(CroppedItems[Sample]):
             draw = self.noise.draw(generator, range_dn, self._turns.at(place), gain_spread=GAIN_SPREAD)
             names = self._dark.names(draw.iso or 0.0)
             dark_frame = ", ".join(names[member] for member in draw.dark)
-        its = draw.parameters.range_dn
-        if self.range_dn is None and frame.sensor is not None and its is not None:  # arrays state whose range it is
-            both = f"range_dn={its:g} makes that camera's noise of it, range_dn={range_dn:g} takes its DN as they are"
-            check_scale(frame.name, frame.sensor, draw.camera, its, both)
+        own = draw.parameters.range_dn
+        if self.range_dn is None and frame.sensor is not None and own is not None:  # arrays state whose range it is
+            advice = f"range_dn={own:g} makes that camera's noise of it, range_dn={range_dn:g} takes its DN as they are"
+            check_scale(frame.name, frame.sensor, draw.camera, own, advice)
         parameters = draw.parameters.as_dict()
         parameters["colour_bias_dn"] = torch.from_numpy(np.array(draw.parameters.colour_bias_dn))  # faster than tensor
         of_noise = {"ratio": draw.ratio, "camera": draw.camera, "camera_id": draw.camera_id, "iso": draw.iso or 0.0}
@@ -312,14 +308,13 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "crops_per_frame")
         super().__init__(method="frame", repeats=("crops_per_frame", crops_per_frame), **options)
-        self.crops_per_frame = crops_per_frame
 
-    def drawn(self, place: int, generator: np.random.Generator) -> NoisyItem:
+    def draw_item(self, place: int, generator: np.random.Generator) -> NoisyItem:
         """Draw a crop of frame ``place`` modulo their number, or of a grid its crop, and its noise."""
-        number, tile = self._record_of(place, len(self.source))
+        number, tile = self._record_of(place)
         frame = self.source.frame(number)
         crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment, tile=tile)
-        return self._noisy(place, generator, frame, crop, [Part("target", frame, is_light=True)])
+        return self._draw_noise(place, generator, frame, crop, [Part("target", frame, is_light=True)])
 
 
 class SyntheticClipSample(SyntheticSample):
@@ -380,16 +375,15 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
             raise ArgumentError(f"frames and windows_per_clip must be 1 or more; found {frames}, {windows_per_clip}")
         super().__init__(method="clip", repeats=("windows_per_clip", windows_per_clip), exposures=frames, **options)
         self.frames, self._unit = frames, f"windows of {frames} frames"
-        self.windows_per_clip = windows_per_clip
 
     @property
     def reads_parts(self) -> bool:
         """Whether the source's clips say that their frames read parts."""
         return getattr(self.source.clip(0), "reads_parts", False)
 
-    def drawn(self, place: int, generator: np.random.Generator) -> NoisyItem:
+    def draw_item(self, place: int, generator: np.random.Generator) -> NoisyItem:
         """Draw a window of clip ``place`` modulo their number, or of a crop's clip, its crop and its noise."""
-        number, tile = self._record_of(place, len(self.source))
+        number, tile = self._record_of(place)
         clip = self.source.clip(number)
         if len(clip) < self.frames:
             raise DatasetError(f"{clip!r}: {len(clip)} frames are too few for a window of {self.frames}")
@@ -397,7 +391,7 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
         first = clip.frame(start)
         crop = Crop.draw(first, generator, crop=self.crop, augment=self.augment, tile=tile)
         parts = self._parts(clip, start, first)
-        return self._noisy(place, generator, first, crop, parts, self.frames, clip=number, start=start)
+        return self._draw_noise(place, generator, first, crop, parts, self.frames, clip=number, start=start)
 
     def _parts(self, clip: CleanSource, start: int, first: Frame) -> Iterator[Part]:
         """Yield the clean frames in order."""
@@ -410,10 +404,6 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
 
 
 def _check_alike(frame: Frame, first: Frame) -> None:
-    for name, value, expected in (
-        ("size", frame.shape, first.shape),
-        ("CFA", frame.cfa, first.cfa),
-        ("white level", frame.white_level_dn, first.white_level_dn),
-    ):
-        if value != expected:
-            raise DatasetError(f"{frame.name}: {name} {value}, but {first.name} has {expected}; is it one clip?")
+    own, wanted = (f"{each.kind}, white level {each.white_level_dn:g} DN" for each in (frame, first))
+    if own != wanted:
+        raise DatasetError(f"{frame.name}: has {own}, but {first.name} has {wanted}; is it one clip?")

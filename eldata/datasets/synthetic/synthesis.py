@@ -283,7 +283,7 @@ def _open_dark_frames(path: Path, iso: float, _work: str) -> DarkFrames:
     return DarkFrames(path, isos=[iso])
 
 
-def _member(recipe: Recipe, dark: DarkFrames, index: int, copy: int) -> int:
+def _choose_member(recipe: Recipe, dark: DarkFrames, index: int, copy: int) -> int:
     """Return the number of the dark frame whose turn it is."""
     (iso,) = dark.isos
     return Turns(recipe.seed, [1.0], [len(dark.names(iso))]).at(index * recipe.per_image + copy)[1][0]
@@ -316,7 +316,7 @@ def _write_tables(
             parameters = draw.parameters.as_dict()
             drawn.append({"path": of_copy.path, "clean": str(source.path), "ratio": float(draw.ratio)} | parameters)
             if dark is not None:
-                drawn[-1]["dark_frame"] = dark.names(dark.isos[0])[_member(recipe, dark, source.number, copy)]
+                drawn[-1]["dark_frame"] = dark.names(dark.isos[0])[_choose_member(recipe, dark, source.number, copy)]
     roles = [record.role for record in records]
     card = Card(
         name=name,
@@ -360,7 +360,7 @@ class _CleanFacts:
 
 @dataclass(frozen=True, slots=True)
 class _Draw:
-    """One noisy copy: what is drawn for it, from (seed, place of the file or clip, number of the copy) alone."""
+    """The draw of one noisy copy, from (seed, place of the file or clip, number of the copy) alone."""
 
     name: str
     parameters: NoiseParameters
@@ -394,7 +394,7 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, work: str, sourc
     require_files(start / path)
     raw = read_raw(source.below(start))
     raw.whole_dn("synthesis")
-    frame = _cropped(raw)
+    frame = _crop_to_periods(raw)
     iso, exposure_s = frame.exposure.iso, frame.exposure.exposure_s
     if iso is None or exposure_s is None:
         raise RawFileError(
@@ -410,7 +410,7 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, work: str, sourc
     draws = enumerate(_Draw.of(recipe, facts, source, copy) for copy in range(recipe.per_image))
     waiting = [(copy, draw) for copy, draw in draws if not (place / draw.name).exists()]
     if not (place / "clean.dng").exists():
-        with _naming(path):
+        with _name_in_errors(path):
             write_dng(place / "clean.dng", frame.mosaic, sensor, frame.exposure, compression="lossless-jpeg")
     if not waiting:
         return facts
@@ -424,7 +424,7 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, work: str, sourc
     whole = Frame.of_raw(raw.mosaic, raw.sensor, str(path), raw.exposure)
     area = Crop.region(whole, (0, 0, *packed_shape(whole.shape, whole.cfa)[1:]))
     for copy, draw in waiting:
-        members = () if dark is None else (_member(recipe, dark, source.number, copy),)
+        members = () if dark is None else (_choose_member(recipe, dark, source.number, copy),)
         of_sensor = draw_dark(model, whole, area, recipe.iso, members, draw.generator)
         exposure = NoiseDraw(draw.parameters, float(draw.ratio), range_dn, dark=members)
         noisy = model.apply(clean, exposure, draw.generator, dark=of_sensor)
@@ -432,7 +432,7 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, work: str, sourc
             dn = draw.parameters.rounded(noisy.astype(np.float64) * (range_dn / exposure.ratio) + black)
             mosaic = unpack(np.clip(dn, 0, sensor.white_level_dn).astype(np.uint16), sensor.cfa)
             stated = Exposure(draw.iso, draw.exposure_s, frame.exposure.f_number)
-            with _naming(path):
+            with _name_in_errors(path):
                 write_dng(place / draw.name, mosaic, sensor, stated, compression="lossless-jpeg")
         else:
             with atomic_write(place / draw.name) as file:
@@ -441,7 +441,7 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, work: str, sourc
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def _name_in_errors(path: Path) -> Iterator[None]:
     """Let what a DNG cannot hold name the clean file that states it, too."""
     try:
         yield
@@ -449,7 +449,7 @@ def _naming(path: Path) -> Iterator[None]:
         raise RawFileError(path, f"cannot be a clean frame: {error}") from error
 
 
-def _cropped(frame: RawFrame) -> RawFrame:
+def _crop_to_periods(frame: RawFrame) -> RawFrame:
     """Return the part of a frame that packs, so that every pixel of the noisy one has its noise."""
     cfa = frame.sensor.cfa
     area = packed_area((frame.mosaic.shape[0], frame.mosaic.shape[1]), cfa)

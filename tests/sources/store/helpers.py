@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import h5py
-import numpy as np
-
 from eldata.raw import write_dng
 from eldata.sources.store import build_store, source_of_dataset, source_of_folder
 from tests.raw.helpers import BAYER, EXPOSURE, NONA, QUAD, XTRANS, make_sensor, random_mosaic
@@ -54,36 +51,3 @@ def pack_folder(folder: Path, store: Path, **options: Any) -> Packed:
     source = source_of_folder(folder)
     build_store(source, store, **options)
     return Packed(store, source)
-
-
-def contents(path: Path) -> dict[str, Any]:
-    """Everything in an HDF5 file: attributes, and arrays as dtype, shape, chunks, filters and bytes."""
-    found: dict[str, Any] = {}
-
-    def visit(name: str, item: Any) -> None:
-        for key, value in item.attrs.items():
-            found[f"{name}@{key}"] = value.tobytes() if isinstance(value, np.ndarray) else value
-        if isinstance(item, h5py.Dataset):
-            layout = item.dtype.str, item.shape, item.chunks, sorted(item._filters)
-            found[name] = (*layout, item[...].tobytes())
-
-    with h5py.File(path, "r") as file:
-        visit("/", file)
-        file.visititems(visit)
-    return found
-
-
-_STOPS = """
-import pathlib, sys, time
-from eldata.sources.store import write
-decoded = write._decode
-def stopping(folder, unit):
-    if unit[1][0] == sys.argv[1]:
-        pathlib.Path(sys.argv[2]).touch()
-        while True:
-            time.sleep(60)
-    return decoded(folder, unit)
-write._decode = stopping
-from eldata.cli.main import main
-sys.exit(main(sys.argv[3:]))
-"""

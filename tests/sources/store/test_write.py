@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 
 from eldata.base.arrays import read_rgb16
-from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, ManifestError, RawFileError
+from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError, RawFileError
 from eldata.raw import read_raw
 from eldata.records import Exposure, exact_fraction
 from eldata.sources.store import Store, build_store, source_of_dataset, source_of_folder, verify_store, write
 from tests.drv_tree import SmallDrv, small_drv
 from tests.raw.helpers import random_mosaic, write_plain_dng
-from tests.sources.store.helpers import Packed, contents, pack_folder, pack_tree, write_clean
+from tests.sources.store.helpers import Packed, pack_folder, pack_tree, write_clean
 from tests.syncing import OnDisk
 from tests.trees import Tree, tree_in
 
@@ -148,6 +148,9 @@ def test_what_cannot_be_packed(tree: Tree, drv: SmallDrv, tmp_path: Path) -> Non
     with pytest.raises(EldataError, match=r"cannot write .*nowhere/x.h5: No such file"):
         build_store(source, tmp_path / "nowhere" / "x.h5")
     assert not any(tmp_path.iterdir())
+    (tmp_path / "x.h5").touch()
+    with pytest.raises(EldataError, match=r"x\.h5: is there already"):
+        build_store(source, tmp_path / "x.h5")
 
 
 def test_without_hdf5plugin_an_uncompressed_store_works(
@@ -227,12 +230,7 @@ def test_a_file_that_cannot_be_decoded_leaves_nothing(clean: Packed, tmp_path: P
     assert [path.name for path in tmp_path.iterdir()] == ["raws"]
     (folder / "2.dng").write_bytes(whole)
     build_store(source_of_folder(folder), tmp_path / "store.h5")
-    assert contents(tmp_path / "store.h5") == contents(clean.store)
-    spoilt = small_drv(tmp_path / "spoilt", ("0007",), 3)
-    frame = spoilt.data / "VBM4D_rawRGB" / "0007" / "0002.png"
-    frame.write_bytes(frame.read_bytes()[:-50])
-    with pytest.raises(FileError, match=r"0002\.png: does not end as a PNG does"):
-        pack_tree(spoilt, tmp_path / "x.h5")
+    assert (tmp_path / "store.h5").read_bytes() == clean.store.read_bytes()
 
 
 def test_a_clip_without_its_reference_is_found(drv: SmallDrv, tmp_path: Path) -> None:

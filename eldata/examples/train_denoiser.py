@@ -37,7 +37,8 @@ from eldata.base import console
 from eldata.base.fields import named_object
 from eldata.base.files import atomic_write
 from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
-from eldata.datasets import CleanFrames, DarkFrames, Noise2Noise, describe, evaluation_loader, training_loader
+from eldata.datasets import CleanClips, CleanFrames, DarkFrames, Noise2Noise
+from eldata.datasets.loading import describe, evaluation_loader, training_loader
 from eldata.datasets.rgb import raw2rgb, rgb2rgb
 from eldata.errors import ArgumentError
 from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
@@ -173,7 +174,7 @@ def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Datas
     if not options.noise2noise:
         return SyntheticPairs(source, options.camera, **crops, **noise)
     count = crops.pop("crops_per_frame", 1)
-    stills = SyntheticClips(Stills(source), options.camera, frames=2, windows_per_clip=count, **crops, **noise)
+    stills = SyntheticClips(still_clips(source, 2), options.camera, frames=2, windows_per_clip=count, **crops, **noise)
     return Sides(stills, are_exposures=True)
 
 
@@ -187,21 +188,9 @@ def noise_of(options: argparse.Namespace) -> Any:
     )
 
 
-class Stills:
-    """Each clean frame as a clip of some: a window has exposures of one scene, each with noise of its own."""
-
-    def __init__(self, source: CleanSource, frames: int = 2) -> None:
-        self.source, self.frames = source, frames
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def clip(self, index: int) -> Still:
-        """Return a frame, several times."""
-        return Still(self.source, index, self.frames)
-
-    def __repr__(self) -> str:
-        return f"Stills({self.source!r})"
+def still_clips(source: CleanSource, frames: int) -> CleanClips:
+    """Make a clip of each clean frame: a window has exposures of one scene, each with noise of its own."""
+    return CleanClips(Still(source, index, frames) for index in range(len(source)))
 
 
 class Still:
@@ -217,6 +206,9 @@ class Still:
     def frame(self, _: int) -> Any:
         """Return the frame."""
         return self.source.frame(self.index)
+
+    def __repr__(self) -> str:
+        return f"Still({self.source!r})"
 
 
 class Sides(Dataset[dict[str, torch.Tensor]]):

@@ -28,12 +28,12 @@ from eldata.datasets import CleanClips, CleanFrames
 from eldata.datasets.packed import PackedClips
 from eldata.errors import ArgumentError
 from eldata.examples.train_denoiser import (
-    Stills,
     add_training_options,
     keep_and_show,
     noise_of,
     program,
     start_ranks,
+    still_clips,
     train,
 )
 
@@ -77,7 +77,7 @@ def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:
     if not (options.clean and options.camera):
         raise ArgumentError("give --clean with --camera, or --clips")
     if options.still:
-        source: Any = Stills(CleanFrames(options.clean, levels=options.levels), frames)
+        source = still_clips(CleanFrames(options.clean, levels=options.levels), frames)
     else:
         source = CleanClips(options.clean, levels=options.levels)
     noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio)}

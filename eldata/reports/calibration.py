@@ -254,11 +254,8 @@ def _rows(one: IsoCalibration) -> dict[str, Any]:
         ("Shapiro-Wilk p", digits(rows.shapiro_p, 2)),
         ("Excess kurtosis", digits(rows.excess_kurtosis, 2)),
     ]
-    plots, pictures = (
-        [drawn.rows_plot(one), drawn.line_spectrum_plot(one)],
-        [drawn.spectrum_picture(one)],
-    )
-    return _group(one, "Row noise", numbers, "row noise", plots=plots, pictures=pictures)
+    plots = [drawn.rows_plot(one), drawn.line_spectrum_plot(one)]
+    return _group(one, "Row noise", numbers, "row noise", plots=plots, pictures=[drawn.spectrum_picture(one)])
 
 
 def _read_noise(one: IsoCalibration) -> dict[str, Any]:
@@ -289,11 +286,7 @@ def _reproduction(one: IsoCalibration) -> dict[str, Any]:
         ("Row means, σ simulated", f"{digits(kept.row_sigma_simulated_dn)} DN"),
     ]
     return _group(
-        one,
-        title,
-        numbers,
-        plots=[drawn.reproduced_plot(one, kept)],
-        pictures=[drawn.reproduced_pictures(one, kept)],
+        one, title, numbers, plots=[drawn.reproduced_plot(one, kept)], pictures=[drawn.reproduced_pictures(one, kept)]
     )
 
 

@@ -89,12 +89,7 @@ def test_it_learns_and_leaves_a_network_that_predict_runs(
 
 @pytest.mark.parametrize(("task", "channels"), [("raw2rgb", 4), ("rgb2rgb", 3)])
 def test_networks_to_srgb(
-    task: str,
-    channels: int,
-    store: Path,
-    demo_tree: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    task: str, channels: int, store: Path, demo_tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Trained, validated as eldata evaluate scores what eldata predict writes, and gone on with by the same command."""
     tree = tree_in(demo_tree)

@@ -95,8 +95,7 @@ def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[
             for pair in members
         ]
         metric.update(
-            torch.from_numpy(np.stack([predictions[pair.path] for pair in members])),
-            torch.from_numpy(np.stack(frames)),
+            torch.from_numpy(np.stack([predictions[pair.path] for pair in members])), torch.from_numpy(np.stack(frames))
         )
         assert numbers(metric.compute()) == {"psnr_db": row.psnr_db, "ssim": row.ssim}
 

@@ -45,9 +45,11 @@ LAMBDAS = (-0.45, -0.2, -0.05, -1e-9, 0.0, 1e-4, 0.0571429, 0.1428571, 0.5, 1.0,
 LEAST_P_VALUE = 1e-6
 
 
-def _excess_kurtosis(tukey_lambda: float) -> float:
+def moments_of_tukey_lambda(shape: float) -> tuple[float, float]:
+    """Variance and excess kurtosis at scale 1, scipy's."""
     distribution: Any = stats.tukeylambda
-    return float(distribution.stats(tukey_lambda, moments="k"))
+    variance, excess = distribution.stats(shape, moments="vk")
+    return float(variance), float(excess)
 
 
 @dataclass(frozen=True)
@@ -71,9 +73,9 @@ class Law:
         if "G" in names:
             variance += parameters.sigma_gauss_dn**2
         if "G*" in names:
-            spread = parameters.sigma_tl_dn**2 * float(stats.tukeylambda.var(parameters.tukey_lambda))
-            variance += spread
-            fourth += spread**2 * _excess_kurtosis(parameters.tukey_lambda)
+            spread, excess = moments_of_tukey_lambda(parameters.tukey_lambda)
+            variance += parameters.sigma_tl_dn**2 * spread
+            fourth += (parameters.sigma_tl_dn**2 * spread) ** 2 * excess
         if "U" in names:
             variance += parameters.quantisation_step_dn**2 / 12
             fourth -= parameters.quantisation_step_dn**4 / 120

@@ -1,4 +1,4 @@
-"""The noise model on the CPU: closed forms, distributions, structure, and what its arguments do."""
+"""The noise model on the CPU: the converter, what its arguments do, and noise on whole mosaics."""
 
 from __future__ import annotations
 
@@ -12,13 +12,10 @@ import torch
 
 from eldata.errors import ArgumentError
 from eldata.noise import Adc, NoiseDraw, NoiseModel, NoiseParameters
+from eldata.noise.model import pack_whole, unpack_whole
 from tests.cases import in_one_test
-from tests.noise.helpers import (
-    PARAMETERS,
-    RANGE_DN,
-    RATIO,
-    compiled_dn,
-)
+from tests.noise.helpers import PARAMETERS, RANGE_DN, RATIO, compiled_dn
+from tests.raw.helpers import CFAS, levels_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -213,13 +210,6 @@ def test_what_a_model_refuses(given: dict[str, Any], said: str) -> None:
 # --- memory of the caller's -----------------------------------------------------------------------------------------
 
 
-def test_where_to_write() -> None:
-    clean = np.random.default_rng(1).random((2, 4, 6, 8), np.float32)
-    out = np.full_like(clean, np.nan)
-    assert noisy(clean, out=out) is out or np.shares_memory(noisy(clean, out=out), out)
-    same_bits(out, noisy(clean))
-
-
 @pytest.mark.parametrize("columns", [1, 3, 64, 171, 512, 513])
 def test_narrow_images_have_the_noise_of_their_pixels_numbers(columns: int) -> None:
     """Without row noise a pixel's number alone counts: however many rows a strip takes, one long row has the same."""
@@ -229,10 +219,60 @@ def test_narrow_images_have_the_noise_of_their_pixels_numbers(columns: int) -> N
     same_bits(noisy(clean, "P*+G*+B+U").ravel(), line.ravel())
 
 
-def test_where_nothing_can_be_written() -> None:
-    clean = np.zeros((2, 4, 6, 8), np.float32)
+def test_where_to_write() -> None:
+    clean = np.random.default_rng(1).random((2, 4, 6, 8), np.float32)
+    out = np.full_like(clean, np.nan)
+    assert np.shares_memory(noisy(clean, out=out), out)
+    same_bits(out, noisy(clean))
     for wrong in (clean, np.empty((2, 4, 6, 8)), np.empty((2, 4, 6, 16), np.float32)[..., ::2], [0.0]):
         with pytest.raises(ArgumentError, match=r"out must be a writeable .* of shape \(2, 4, 6, 8\)"):
             noisy(clean, out=wrong)
     with pytest.raises(ArgumentError, match="out= is for arrays"):
         noisy(torch.zeros(2, 4, 6, 8), out=np.empty((2, 4, 6, 8), np.float32))
+
+
+# --- whole mosaics: no pixel is left out ---------------------------------------------------------------------------
+
+OF_MOSAIC = NoiseParameters(1.5, -0.1, 2.0, 3.0, 4.0, (10.0, 20.0, 30.0, 40.0))
+
+
+@in_one_test("name", CFAS)
+@in_one_test("shape", [(12, 18), (13, 17), (2, 3, 11, 8), (6, 6), (1, 1)])
+def test_whole_mosaics_come_back(name: str, shape: tuple[int, ...]) -> None:
+    mosaic = np.random.default_rng(0).random(shape).astype(np.float32)
+    packed = pack_whole(mosaic, CFAS[name])
+    np.testing.assert_array_equal(unpack_whole(packed, CFAS[name], shape[-2:]), mosaic)  # type: ignore[arg-type] # two
+    tensor = pack_whole(torch.from_numpy(mosaic), CFAS[name])
+    np.testing.assert_array_equal(tensor.numpy(), packed)
+
+
+@pytest.mark.parametrize(
+    "name", ["RGGB", "GBRG", "BGGR", "xtrans-00", "xtrans-23", "quad-00", "quad-23", "nona-00", "nona-14"]
+)
+def test_rows_and_biases_are_those_of_the_mosaic(name: str) -> None:
+    """R alone: every mosaic row is constant, and the rows are independent. B alone: the bias follows the CFA."""
+    cfa = np.asarray(CFAS[name])
+    clean = np.zeros((601, 37), np.float32)
+
+    def noise(spec: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+        generator = np.random.default_rng(1)
+        model = NoiseModel(spec)
+        noisy = model.on_mosaic(
+            clean, cfa=cfa, parameters=OF_MOSAIC, ratio=100.0, range_dn=RANGE_DN, generator=generator
+        )
+        assert noisy.shape == clean.shape
+        return noisy * np.float32(RANGE_DN / 100)
+
+    rows = noise("R")
+    assert np.ptp(rows, axis=1).max() == 0
+    draws = rows[:, 0].astype(np.float64)
+    n = len(draws)
+    # 5 standard errors of a standard deviation and of a lag-one correlation.
+    assert abs(draws.std() / OF_MOSAIC.sigma_row_dn - 1) < 5 / np.sqrt(2 * n)
+    assert abs(np.corrcoef(draws[1:], draws[:-1])[0, 1]) < 5 / np.sqrt(n)
+
+    bias = noise("B")
+    y, x = np.indices(clean.shape)
+    index = cfa[y % len(cfa), x % len(cfa)]
+    levels = np.array([10.0, 20.0, 30.0, 40.0] if levels_of(CFAS[name]) == 4 else [10.0, 30.0, 30.0])
+    np.testing.assert_allclose(bias, levels[index], rtol=1e-5)

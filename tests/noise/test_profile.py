@@ -151,18 +151,14 @@ MEAN_ERROR = 1 / math.sqrt(COUNT)
 VARIANCE_ERROR = math.sqrt(2 / COUNT)
 
 
-def numpy_generator(seed: int) -> np.random.Generator:
-    return np.random.default_rng(seed)
-
-
 def torch_generator(seed: int) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-BOTH = pytest.mark.parametrize("make", [numpy_generator, torch_generator])
+BOTH = pytest.mark.parametrize("make", [np.random.default_rng, torch_generator])
 
 
-@pytest.fixture(scope="module", params=[("NikonD850-2", numpy_generator), ("SonyA7S2", torch_generator)])
+@pytest.fixture(scope="module", params=[("NikonD850-2", np.random.default_rng), ("SonyA7S2", torch_generator)])
 def drawn(request: pytest.FixtureRequest) -> tuple[CameraProfile, list[NoiseParameters]]:
     name, make = request.param
     profile, generator = CameraProfile.load(name), make(20)
@@ -204,19 +200,14 @@ def test_the_log_sigmas_are_normal_around_their_lines(drawn: tuple[CameraProfile
     assert np.abs(correlation[np.triu_indices(4, 1)]).max() < 5 * MEAN_ERROR
 
 
-def row_index(profile: CameraProfile) -> dict[tuple[float, tuple[float, ...]], list[int]]:
-    index: dict[tuple[float, tuple[float, ...]], list[int]] = {}
-    for number, row in enumerate(profile.rows):
-        index.setdefault((row.tukey_lambda, row.colour_bias_dn), []).append(number)
-    return index
-
-
 def test_lambda_and_colour_bias_come_from_one_row_and_every_row_alike(
     drawn: tuple[CameraProfile, list[NoiseParameters]],
 ) -> None:
     """4000 draws over 14 to 20 rows, chi-square; and the row is independent of the gain."""
     profile, draws = drawn
-    index = row_index(profile)
+    index: dict[tuple[float, tuple[float, ...]], list[int]] = {}
+    for number, row in enumerate(profile.rows):
+        index.setdefault((row.tukey_lambda, row.colour_bias_dn), []).append(number)
     # A pair that stands in no row would be a KeyError.
     rows = np.array([index[draw.tukey_lambda, draw.colour_bias_dn][0] for draw in draws])
     expected = np.array([len(numbers) for numbers in index.values()]) / len(profile.rows) * COUNT
@@ -246,16 +237,13 @@ def test_a_frame_of_the_drawn_row_gives_the_colour_bias(make: Callable[[int], Ge
 
 
 @BOTH
-@pytest.mark.parametrize("fixed", [{"iso": 1600.0}, {"gain_dn_per_e": 1.25}, {"iso": 123.0}])
+@in_one_test("iso, gain", [(1600.0, None), (None, 1.25), (123.0, None)])
 def test_fixing_the_gain_leaves_the_other_draws_as_they_were(
-    make: Callable[[int], Generator], fixed: dict[str, float]
+    make: Callable[[int], Generator], iso: float | None, gain: float | None
 ) -> None:
     sony = CameraProfile.load("SonyA7S2")
-    free, tied = (
-        sony.sample(make(7)),
-        sony.sample(make(7), iso=fixed.get("iso"), gain_dn_per_e=fixed.get("gain_dn_per_e")),
-    )
-    gain = fixed["gain_dn_per_e"] if "gain_dn_per_e" in fixed else sony.gain_at_iso(fixed["iso"])
+    free, tied = sony.sample(make(7)), sony.sample(make(7), iso=iso, gain_dn_per_e=gain)
+    gain = gain or sony.gain_at_iso(iso or 0)
     assert tied.gain_dn_per_e == gain != free.gain_dn_per_e
     assert (tied.tukey_lambda, tied.colour_bias_dn) == (free.tukey_lambda, free.colour_bias_dn)
     for fit in FITS:

@@ -17,8 +17,10 @@ from eldata.noise import CameraProfile, read_published
 from eldata.noise.profile import LogLogFit
 from eldata.noise.published import profiles_from_published
 from tests.cases import in_one_test
+from tests.shared import there
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "noise.md"
+SCALES = ("G_scale", "g_scale", "R_scale")  # of the Tukey-lambda read noise, the Gaussian one, and the rows
 
 # --- the file -------------------------------------------------------------------------------------------------------
 
@@ -30,10 +32,7 @@ def test_the_documented_lines_make_the_json_that_is_read(tmp_path: Path, monkeyp
         "Kmax": np.float32(16),
         "G_shape": np.array([0.1, 0.0, -0.2]),
         "color_bias": [np.arange(4, dtype=np.float32), [np.int64(1), 2.5, -3, 0], np.array([1.5] * 4, dtype=">f8")],
-        "Profile-1": {
-            name: {"slope": np.float64(0.5), "bias": -1, "sigma": np.array(0.25)}
-            for name in ("G_scale", "g_scale", "R_scale")
-        },
+        "Profile-1": {name: {"slope": np.float64(0.5), "bias": -1, "sigma": np.array(0.25)} for name in SCALES},
     }
     monkeypatch.chdir(tmp_path)
     np.save("SonyA7S2_params.npy", np.array(content, dtype=object), allow_pickle=True)
@@ -41,16 +40,13 @@ def test_the_documented_lines_make_the_json_that_is_read(tmp_path: Path, monkeyp
     assert len(ast.parse(lines).body) == 3
     exec(lines, {})  # noqa: S102 # our own document
     read = read_published("SonyA7S2_params.json")
-    fit = {"slope": 0.5, "bias": -1, "sigma": 0.25}
     assert read == {
         "Kmin": 0.25,
         "Kmax": 16.0,
         "G_shape": [0.1, 0.0, -0.2],
         "color_bias": [[0.0, 1.0, 2.0, 3.0], [1, 2.5, -3, 0], [1.5] * 4],
-        "Profile-1": {"G_scale": fit, "g_scale": fit, "R_scale": fit},
+        "Profile-1": {name: {"slope": 0.5, "bias": -1, "sigma": 0.25} for name in SCALES},
     }
-    (profile,) = profiles_from_published("SonyA7S2", read)
-    assert [row.colour_bias_dn for row in profile.rows] == [(0, 1, 2, 3), (1, 2.5, -3, 0), (1.5,) * 4]
 
 
 # --- profiles -------------------------------------------------------------------------------------------------------
@@ -68,9 +64,7 @@ def published(profiles: int = 1) -> dict[str, Any]:
         "color_bias": [[i, -i, 2 * i, 0.5] for i in range(ROWS)],
     } | {
         f"Profile-{n}": {
-            "G_scale": fit | {"slope": float(n)},
-            "g_scale": fit | {"bias": float(n)},
-            "R_scale": fit | {"sigma": float(n)},
+            name: fit | {part: float(n)} for name, part in zip(SCALES, ("slope", "bias", "sigma"), strict=True)
         }
         for n in range(1, profiles + 1)
     }
@@ -79,16 +73,16 @@ def published(profiles: int = 1) -> dict[str, Any]:
 def test_a_shipped_camera_from_its_published_form(tmp_path: Path) -> None:
     shipped = CameraProfile.load("SonyA7S2")
 
-    def fit(name: str) -> dict[str, float]:
-        line = getattr(shipped, name)
-        return {"slope": line.slope, "bias": line.intercept, "sigma": line.sigma}
-
+    lines = [shipped.tukey_lambda_fit, shipped.gauss_fit, shipped.row_fit]
     data = {
         "Kmin": shipped.gain_range_dn_per_e[0],
         "Kmax": shipped.gain_range_dn_per_e[1],
         "G_shape": [row.tukey_lambda for row in shipped.rows],
         "color_bias": [row.colour_bias_dn for row in shipped.rows],
-        "Profile-1": {"G_scale": fit("tukey_lambda_fit"), "g_scale": fit("gauss_fit"), "R_scale": fit("row_fit")},
+        "Profile-1": {
+            name: {"slope": line.slope, "bias": line.intercept, "sigma": line.sigma}
+            for name, line in zip(SCALES, map(there, lines), strict=True)
+        },
     }
     path = tmp_path / "SonyA7S2_params.json"
     path.write_text(json.dumps(data), encoding="utf-8")

@@ -175,10 +175,7 @@ def test_the_command_draws_and_says_what_is_in_its_way(
         assert (image.height, image.width) == compared.images[0].decoded().reference.shape[1:]
     capsys.readouterr()
     refused = {
-        (
-            *page,
-            "--pictures",
-        ): "no dataset is called 'eld-demo'",
+        (*page, "--pictures"): "no dataset is called 'eld-demo'",
         ("--pictures",): "--pictures are of a page: say where to write it with --html FILE",
         (*page, "--pictures", *own, "--predictions", str(tmp_path)): "expected a folder of predictions per method",
         (*page, "--pictures", *own, *("--predictions", str(tmp_path)) * 2): "is gone since it was scored",

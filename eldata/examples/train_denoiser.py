@@ -133,6 +133,8 @@ def keep_and_show(options: argparse.Namespace, network: torch.nn.Module, channel
 
 def training_data(options: argparse.Namespace) -> Dataset[Any]:
     """Return real pairs, synthetic ones, or both."""
+    if options.task != "raw2raw" and options.noise2noise:
+        raise ArgumentError(f"--task {options.task} has clean targets: leave --noise2noise out")
     count = options.crops_per_frame
     crops = {"crop": options.crop, "seed": options.seed}
     crops |= {"crops": "grid"} if count is None else {"crops_per_frame": count}
@@ -145,8 +147,6 @@ def training_data(options: argparse.Namespace) -> Dataset[Any]:
         parts.append(synthetic_pairs(options, crops))
     if not parts:
         raise ArgumentError("give --clean with --camera, --pairs, or both")
-    if options.task != "raw2raw" and options.noise2noise:
-        raise ArgumentError(f"--task {options.task} has clean targets: leave --noise2noise out")
     parts = [as_task(part, options) for part in parts]
     return parts[0] if len(parts) == 1 else ConcatDataset([Sides(part) for part in parts])
 

@@ -1,4 +1,4 @@
-"""``eldata.examples.train_denoiser``: each choice of data, alone and under torchrun, and what it leaves."""
+"""``eldata.examples.train_denoiser`` and that of clips: each choice of data, alone and under torchrun, what is left."""
 
 from __future__ import annotations
 
@@ -15,22 +15,26 @@ import numpy as np
 import pytest
 import torch
 
-from eldata.baselines import Training, UNet, load_network
+from eldata.baselines import NetworkDenoiser, Training, UNet, load_network
 from eldata.cli.main import main as eldata
-from eldata.examples import train_denoiser
+from eldata.cli.main import parser as eldata_parser
+from eldata.examples import train_video_denoiser
 from eldata.examples.train_denoiser import main, parser
+from eldata.raw.dng import write_dng
+from tests.cases import in_one_test
+from tests.drv_tree import REFERENCE, SENSOR, write_raw_clip, write_rgb_clip
 from tests.shared import made_once
 from tests.sources.store.helpers import pack_tree
 from tests.trees import tree_in
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
-    from types import ModuleType
 
 EXAMPLE = ["-m", "eldata.examples.train_denoiser"]
 SMALL = ["--crop", "16", "--width", "4", "--depth", "2", "--learning-rate", "5e-3", "--device", "cpu", "--workers", "0"]
+STUDY = pytest.mark.study
 
 
 @pytest.fixture(scope="session")
@@ -62,12 +66,23 @@ def test_the_defaults_are_the_papers() -> None:
     assert (chosen.width, chosen.depth) == (32, 4)
 
 
-@pytest.mark.study
-@pytest.mark.parametrize("data", ["pairs", "synthetic", "noise2noise", "mixed"])
+def trained(network: UNet, folder: Path, shape: tuple[int, ...]) -> NetworkDenoiser:
+    """Load what a training has left: its exported network gives what the network gives with the weights beside it."""
+    network.load_state_dict(torch.load(folder / "weights.pt", weights_only=True))
+    loaded = load_network(str(folder / "model.pt2"), device="cpu")
+    image = np.random.default_rng(0).random(shape, dtype=np.float32)
+    with torch.inference_mode():
+        expected = network(torch.from_numpy(image)[None])[0].numpy()
+    np.testing.assert_allclose(loaded.run(image), expected, atol=1e-5)
+    return loaded
+
+
+@pytest.mark.parametrize(
+    "data", [pytest.param("pairs", marks=STUDY), pytest.param("synthetic", marks=STUDY), "noise2noise", "mixed"]
+)
 def test_it_learns_and_leaves_a_network_that_predict_runs(
     data: str, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In this process: others run the example as a program, which imports torch for some seconds."""
     pairs = ["--pairs", str(store)]
     options = {
         "pairs": pairs,
@@ -79,12 +94,51 @@ def test_it_learns_and_leaves_a_network_that_predict_runs(
     losses = losses_in(capsys.readouterr().out)
     assert len(losses) == 6
     assert losses[-1] < 0.9 * losses[0]  # 0.82 of synthetic pairs, the slowest; seeds are fixed
-    network = UNet(4, width=4, depth=2)
-    network.load_state_dict(torch.load(tmp_path / "weights.pt", weights_only=True))
-    image = np.random.default_rng(0).random((4, 24, 32), dtype=np.float32)
-    with torch.inference_mode():
-        expected = network(torch.from_numpy(image)[None])[0].numpy()
-    np.testing.assert_allclose(load_network(str(tmp_path / "model.pt2"), device="cpu").run(image), expected, atol=1e-6)
+    trained(UNet(4, width=4, depth=2), tmp_path, (4, 24, 32))
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two clean clips of moving waves, and two static clips of DRV, raw and preprocessed. Not to be changed."""
+    root = tmp_path_factory.mktemp("clips")
+    rows, columns = np.mgrid[: SENSOR.height, : SENSOR.width]
+    for clip in range(2):
+        (root / f"moving/{clip}").mkdir(parents=True)
+        for number in range(1, 8):
+            wave = np.sin(rows / (5 + clip) + number / 3) * np.cos(columns / 7 - number / 4)
+            mosaic = np.rint(4000 + 3000 * wave).astype(np.uint16)
+            write_dng(root / f"moving/{clip}/DSC{number:05d}.dng", mosaic, SENSOR, REFERENCE)
+    for name in ("0001", "0002"):
+        write_raw_clip(root / "raw", name, 6)
+        write_rgb_clip(root / "rgb", name, 12)
+    return root
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param("moving", marks=STUDY), "still", pytest.param("raw", marks=STUDY), "rgb"]
+)
+def test_networks_of_clips(kind: str, clips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    moving = ["--clean", str(clips / "moving"), "--camera", "SonyA7S2", "--iso", "800"]
+    options = {
+        "moving": moving,
+        "still": [*moving, "--still", "--frames", "1", "--input-clip", "none"],
+        "raw": ["--clips", str(clips / "raw"), "--frames", "1"],
+        "rgb": ["--clips", str(clips / "rgb"), "--rgb", "--ids", "0001", "0002"],
+    }[kind]
+    options += ["--crops-per-clip", "4", "--depth", "1", "--epochs", "6", "--batch-size", "2"]
+    assert train_video_denoiser.main(["-o", str(tmp_path), *SMALL, *options]) == 0
+    out = capsys.readouterr().out
+    for line in out.splitlines()[-2:]:  # to predict and to score
+        found = eldata_parser().parse_args(shlex.split(line)[2:])
+        assert (found.dataset, found.manifest) == (("drv", None) if kind == "rgb" else (None, "drv-raw.csv"))
+    losses = losses_in(out)
+    assert len(losses) == 6
+    assert losses[-1] < 0.9 * losses[0]
+    channels, frames = 3 if kind == "rgb" else 4, 1 if "--frames" in options else 5
+    shape = (channels, 24, 32) if frames == 1 else (frames, channels, 24, 32)
+    loaded = trained(UNet(channels, width=4, depth=1, frames=frames), tmp_path, shape)
+    assert (loaded.window, loaded.multiple) == (frames, 2)
+    assert loaded.clip == ("none" if kind == "still" else "both")
 
 
 @pytest.mark.parametrize(("task", "channels"), [("raw2rgb", 4), ("rgb2rgb", 3)])
@@ -104,6 +158,22 @@ def test_networks_to_srgb(
     said = said_by_what_is_shown(shown, capsys)
     assert "12 frames predicted" in said
     assert f"protocol eld-{task}: 12 of 12 pairs" in said
+
+
+@in_one_test(
+    "training, options, words",
+    [
+        (main, [], "give --clean with --camera, --pairs, or both"),
+        (main, ["--clean", "."], "--clean needs a camera's noise: --camera"),
+        (main, ["--noise2noise", "--task", "raw2rgb"], "--task raw2rgb has clean targets: leave --noise2noise out"),
+        (train_video_denoiser.main, ["--clean", "."], "give --clean with --camera, or --clips"),
+    ],
+)
+def test_what_trainings_refuse(
+    training: Callable[[list[str]], int], options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert training([*SMALL, *options]) == 2
+    assert words in capsys.readouterr().err
 
 
 def said_by_what_is_shown(shown: str, capsys: pytest.CaptureFixture[str]) -> str:
@@ -147,29 +217,6 @@ def test_two_processes_train_one_network(store: Path, tmp_path: Path, capsys: py
     assert together[-1] < together[0]
 
 
-def goes_on_to_the_bit(
-    example: ModuleType, options: list[str], folder: Path, most: int, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Kill -9 a run after its second epoch: once more, in this process, it ends with the weights of one that lived."""
-    straight, run = folder / "straight", folder / "killed"
-    assert example.main(["-o", str(straight), *options]) == 0
-    command = [sys.executable, "-m", example.__name__, "-o", str(run), *options]
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
-        assert process.stdout is not None
-        while (line := process.stdout.readline()) and b"epoch 1:" not in line:
-            pass
-        process.kill()
-    assert b"epoch 1:" in line
-    assert (run / "checkpoint.pt").exists()
-    assert not (run / "weights.pt").exists()
-    capsys.readouterr()
-    assert example.main(["-o", str(run), *options]) == 0
-    assert 1 <= len(losses_in(capsys.readouterr().out)) <= most
-    whole, resumed = (torch.load(one / "weights.pt", weights_only=True) for one in (straight, run))
-    assert all(torch.equal(whole[name], resumed[name]) for name in whole)
-
-
 @pytest.mark.parametrize(
     ("last", "said"),
     [
@@ -199,5 +246,22 @@ def test_ctrl_c_says_what_is_saved(
 
 @pytest.mark.study
 def test_a_killed_run_goes_on_to_the_bit(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Kill -9 after its second epoch: once more, in this process, it ends with the weights of one that lived."""
     options = [*SMALL, *synthetic(store), "--epochs", "8", "--batch-size", "2"]
-    goes_on_to_the_bit(train_denoiser, options, tmp_path, 6, capsys)
+    straight, run = tmp_path / "straight", tmp_path / "killed"
+    assert main(["-o", str(straight), *options]) == 0
+    command = [sys.executable, *EXAMPLE, "-o", str(run), *options]
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
+        assert process.stdout is not None
+        while (line := process.stdout.readline()) and b"epoch 1:" not in line:
+            pass
+        process.kill()
+    assert b"epoch 1:" in line
+    assert (run / "checkpoint.pt").exists()
+    assert not (run / "weights.pt").exists()
+    capsys.readouterr()
+    assert main(["-o", str(run), *options]) == 0
+    assert 1 <= len(losses_in(capsys.readouterr().out)) <= 6
+    whole, resumed = (torch.load(one / "weights.pt", weights_only=True) for one in (straight, run))
+    assert all(torch.equal(whole[name], resumed[name]) for name in whole)

@@ -18,11 +18,15 @@ import pytest
 import torch
 
 from eldata import metrics
+from eldata.datasets import ELDDataset, PackedStore
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate
 from eldata.metrics.image_score import factor_by, score_by
 from eldata.metrics.registry import IMAGES
 from eldata.protocols import PROTOCOLS
+from eldata.raw import read_raw, write_dng
+from eldata.sources.frames import Files
+from eldata.sources.store import build_store, source_of_dataset
 from tests.cases import in_one_test
 from tests.evaluation import oracle
 from tests.evaluation.helpers import Tree, place
@@ -38,11 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 ROOT = Path(__file__).parents[2]
-MODULES = [
-    pytest.param(PSNR, id="PSNR"),
-    pytest.param(SSIM, id="SSIM"),
-    pytest.param(ProtocolScore, id="ProtocolScore"),
-]
+MODULES = [PSNR, SSIM, ProtocolScore]
 
 
 def images(count: int, size: tuple[int, int] = (24, 20), seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -80,10 +80,7 @@ def placed(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
 @pytest.mark.parametrize("protocol", ["eld", "eld-uncorrected", "led-eld", "pmn-eld"])
 def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[str, Any]], protocol: str) -> None:
     """To the last bit, by camera and factor as in the table."""
-    from eldata.sources.frames import Files
-
     rules = PROTOCOLS[protocol]
-
     folder, predictions = placed
     result = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol=protocol)
     assert result.scored == 12
@@ -104,9 +101,6 @@ def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[
 
 def test_whole_frames_of_a_store_give_the_score_of_evaluate(tree: Tree, tmp_path: Path) -> None:
     """A validation loop of torch over a store gives the mean that the command prints of the files, to the bit."""
-    from eldata.datasets import PackedStore
-    from eldata.sources.store import build_store, source_of_dataset
-
     build_store(source_of_dataset("eld-demo", root=tree.root, manifest=tree.manifest), tmp_path / "demo.h5")
     metric = ProtocolScore("raw")
     for item in PackedStore(tmp_path / "demo.h5", crop=None, augment=False, levels="metadata"):
@@ -120,10 +114,6 @@ def test_the_score_is_that_of_evaluate_whatever_the_clip_of_the_input(
     clip: Any, tree: Tree, placed: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     """References of which a quarter lies below black, of a dataset and as an array that keeps them."""
-    from eldata.datasets import ELDDataset
-    from eldata.raw import read_raw, write_dng
-    from eldata.sources.frames import Files
-
     folder, predictions = placed
     dark = Tree(Path(shutil.copytree(tree.folder, tmp_path / "dark")))
     for path in {pair.reference for pair in oracle.pairs(dark.files)}:

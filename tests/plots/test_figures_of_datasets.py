@@ -20,7 +20,7 @@ from tests.drv_tree import small_drv
 from tests.plots.notebooks import assert_one_line, assert_shows_in_a_notebook
 from tests.reports.pages import HOSTILE, checked
 from tests.sources.store.helpers import pack_tree
-from tests.trees import copy_tree, tree_in
+from tests.trees import copy_tree
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,13 +29,8 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(scope="module")
-def tree(demo_tree: Path) -> Tree:
-    return tree_in(demo_tree)
-
-
-@pytest.fixture(scope="module")
-def eld(tree: Tree) -> ELDDataset:
-    return ELDDataset(tree.data, manifest=tree.csv)
+def eld(pristine: Tree) -> ELDDataset:
+    return ELDDataset(pristine.data, manifest=pristine.csv)
 
 
 def images_of(figure: Figure) -> list[Any]:
@@ -47,7 +42,7 @@ def titles_of(figure: Figure) -> list[str]:
     return [axes.get_title() for axes in figure.axes if axes.images]
 
 
-def test_a_pair_is_drawn_as_it_is_given(eld: ELDDataset, tree: Tree) -> None:
+def test_a_pair_is_drawn_as_it_is_given(eld: ELDDataset, pristine: Tree) -> None:
     index = 1
     sample, record = eld[index], eld.records[index]
     figure = eld.plot(index)
@@ -57,7 +52,7 @@ def test_a_pair_is_drawn_as_it_is_given(eld: ELDDataset, tree: Tree) -> None:
         record.path,
     ]
     noisy, clean, error = images_of(figure)
-    sensor = read_raw(tree.data / record.reference).sensor
+    sensor = read_raw(pristine.data / record.reference).sensor
     # One stretch for both sides, found on the target; colours are the reference's.
     brighter = brightening(sample["target"].numpy())
     assert brighter > 1
@@ -66,17 +61,14 @@ def test_a_pair_is_drawn_as_it_is_given(eld: ELDDataset, tree: Tree) -> None:
     expected = (sample["input"] - sample["target"]).abs().mean(0).numpy()
     np.testing.assert_allclose(error, expected, rtol=1e-6)
     more = f", {brighter:g} times as bright"
-    assert titles_of(figure) == [
-        f"input ×{sample['ratio']:g}{more}",
-        f"target{more}",
-        "absolute error, mean of channels",
-    ]
+    ours = [f"input ×{sample['ratio']:g}{more}", f"target{more}", "absolute error, mean of channels"]
+    assert titles_of(figure) == ours
     scale = figure.axes[2].images[0]
     assert scale.get_clim() == pytest.approx(np.quantile(expected, (0.002, 0.998)), rel=1e-6)
 
 
-def test_a_store_draws_its_crop(tree: Tree, tmp_path: Path) -> None:
-    packed = PackedStore(pack_tree(tree, tmp_path / "eld.h5").store, crop=16, crops_per_frame=2, seed=3)
+def test_a_store_draws_its_crop(pristine: Tree, tmp_path: Path) -> None:
+    packed = PackedStore(pack_tree(pristine, tmp_path / "eld.h5").store, crop=16, crops_per_frame=2, seed=3)
     noisy, clean, _ = images_of(packed.plot(5))
     assert noisy.shape == clean.shape == (16, 16, 3)
     sample = packed[5]
@@ -136,10 +128,9 @@ def test_a_dataset_in_a_notebook(eld: ELDDataset) -> None:
     assert sum(len(picture["src"]) for picture in page.all("img")) < 40_000
 
 
-def test_what_cannot_be_read_is_said(tree: Tree, tmp_path: Path) -> None:
-    own = copy_tree(tree, tmp_path)
-    eld = ELDDataset(own.data, manifest=own.csv)
-    (own.data / eld.records[0].path).unlink()
+def test_what_cannot_be_read_is_said(tree: Tree) -> None:
+    eld = ELDDataset(tree.data, manifest=tree.csv)
+    (tree.data / eld.records[0].path).unlink()
     html = eld._repr_html_()
     page = checked(html)
     assert page.all("img") == []
@@ -149,8 +140,8 @@ def test_what_cannot_be_read_is_said(tree: Tree, tmp_path: Path) -> None:
         eld.plot(0)
 
 
-def test_hostile_names_of_folders_stay_text(tree: Tree, tmp_path: Path) -> None:
-    own = copy_tree(tree, tmp_path / HOSTILE.replace("/", "|"))
+def test_hostile_names_of_folders_stay_text(pristine: Tree, tmp_path: Path) -> None:
+    own = copy_tree(pristine, tmp_path / HOSTILE.replace("/", "|"))
     eld = ELDDataset(own.data, manifest=own.csv)
     assert_shows_in_a_notebook(eld, HOSTILE.replace("/", "|")[:20])
     title = describe_sample(eld[0] | {"camera": "$\\frac{$ 相机", "path": HOSTILE + "\x1b[2J"})

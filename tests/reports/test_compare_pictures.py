@@ -22,6 +22,7 @@ from eldata.reports import pictures
 from eldata.reports.comparison import write_comparison_page
 from tests.capture.checklist_browser import Browser, Page
 from tests.evaluation.helpers import Tree, perturbed, place, small_tree
+from tests.reports.evaluations import written
 from tests.reports.pages import assert_well_formed, checked
 
 if TYPE_CHECKING:
@@ -174,6 +175,12 @@ def test_the_command_draws_and_says_what_is_in_its_way(
     with Image.open(tmp_path / "page-pictures" / "0001-reference.jpg") as image:
         assert (image.height, image.width) == compared.images[0].decoded().reference.shape[1:]
     capsys.readouterr()
+    data = json.loads(compared.files[0].read_text(encoding="utf-8"))
+    data["provenance"]["manifest_sha256"] = "sha256:" + "0" * 64
+    other = written(tmp_path / "other.json", data)
+    assert main(["compare", str(other), *files[1:], "--html", str(tmp_path / "b.html"), "--pictures", *own]) == 2
+    assert "is not the manifest that" in capsys.readouterr().err
+    assert not (tmp_path / "b.html").exists()
     refused = {
         (*page, "--pictures"): "no dataset is called 'eld-demo'",
         ("--pictures",): "--pictures are of a page: say where to write it with --html FILE",
@@ -183,17 +190,6 @@ def test_the_command_draws_and_says_what_is_in_its_way(
     for arguments, words in refused.items():
         assert main(["compare", *files, *arguments]) == 2
         assert words in capsys.readouterr().err
-
-
-def test_another_manifest_is_refused(compared: Compared, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    data = json.loads(compared.files[0].read_text(encoding="utf-8"))
-    data["provenance"]["manifest_sha256"] = "sha256:" + "0" * 64
-    (tmp_path / "a.json").write_text(json.dumps(data), encoding="utf-8")
-    arguments = [str(tmp_path / "a.json"), str(compared.files[1]), "--html", str(tmp_path / "page.html"), "--pictures"]
-    own = ["--manifest", str(compared.tree.manifest), "--root", str(compared.tree.root)]
-    assert main(["compare", *arguments, *own]) == 2
-    assert "is not the manifest that" in capsys.readouterr().err
-    assert not (tmp_path / "page.html").exists()
 
 
 # --- in a browser -------------------------------------------------------------------------------------------------
@@ -208,6 +204,10 @@ def page(browser: Browser, compared: Compared, tmp_path: Path) -> Iterator[Page]
     page.close()
 
 
+OUTSIDE = (
+    "[...document.querySelectorAll('body *')].filter((e) => !e.closest('.scroll, .skip, .unseen, .glass') &&"
+    " e.getBoundingClientRect().right > innerWidth + 0.5).map((e) => e.outerHTML.slice(0, 80))"
+)
 TRANSFORMS = "[...document.querySelectorAll('.glass img')].map((e) => e.style.transform)"
 SHOWN = (
     "[...document.querySelectorAll('table.sortable tbody tr')].filter((e) => !e.hidden)"
@@ -260,8 +260,4 @@ def test_the_page_with_pictures_fits_its_window(width: int, page: Page) -> None:
     page.resize(width)
     page.wait(lambda: page.run("innerWidth") == width)
     assert page.run("document.documentElement.scrollWidth") <= width
-    outside = (
-        "[...document.querySelectorAll('body *')].filter((e) => !e.closest('.scroll, .skip, .unseen, .glass') &&"
-        " e.getBoundingClientRect().right > innerWidth + 0.5).map((e) => e.outerHTML.slice(0, 80))"
-    )
-    assert page.run(outside) == []
+    assert page.run(OUTSIDE) == []

@@ -31,17 +31,11 @@ from eldata.evaluation.request import SETTINGS
 from eldata.noise.profile import CameraProfile
 from tests.baselines.travelling import Travelling
 from tests.onnx_file import onnx_network
-from tests.trees import tree_in
 
 if TYPE_CHECKING:
     from eldata.baselines.noisy_frames import NoisyFrame
     from eldata.baselines.predicting import Denoiser
     from tests.trees import Tree
-
-
-@pytest.fixture
-def tree(demo_tree: Path) -> Tree:
-    return tree_in(demo_tree)
 
 
 class Doubled(torch.nn.Module):
@@ -59,17 +53,19 @@ def halved(image: torch.Tensor) -> torch.Tensor:
     return 0.5 * image
 
 
-def of_set(tree: Tree) -> list[str]:
-    return ["--manifest", str(tree.csv), "--root", str(tree.root)]
+def where(tree: Tree) -> dict[str, Any]:
+    return {"manifest": tree.csv, "root": tree.root}
 
 
-def test_the_input_scores_as_the_input(tree: Tree, tmp_path: Path) -> None:
-    report = write_predictions(
-        BaselineDenoiser("input"), "", tmp_path / "p", manifest=tree.csv, root=tree.root, clip="protocol"
-    )
+def of_set(pristine: Tree) -> list[str]:
+    return ["--manifest", str(pristine.csv), "--root", str(pristine.root)]
+
+
+def test_the_input_scores_as_the_input(pristine: Tree, tmp_path: Path) -> None:
+    report = write_predictions(BaselineDenoiser("input"), "", tmp_path / "p", **where(pristine), clip="protocol")
     assert (report.written, report.kept, report.problems) == (12, 0, ())
-    ours = evaluate(tmp_path / "p", manifest=tree.csv, root=tree.root)
-    theirs = evaluate(None, manifest=tree.csv, root=tree.root, baseline="input")
+    ours = evaluate(tmp_path / "p", **where(pristine))
+    theirs = evaluate(None, **where(pristine), baseline="input")
     assert [one.psnr_db for one in ours.scores] == [one.psnr_db for one in theirs.scores]
 
 
@@ -77,31 +73,31 @@ def test_the_command_offers_every_baseline() -> None:
     assert tuple(BASELINES) == NAMES
 
 
-def test_from_the_command_to_a_better_score(tree: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_the_command_to_a_better_score(pristine: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "some predictions"
     profiles = []
     for camera in CAMERAS:
         known_profile(camera, (800, 1600, 3200)).save(tmp_path / f"{camera.name}.json")
         profiles += ["--profile", str(tmp_path / f"{camera.name}.json")]
-    assert main(["baseline", "dct", *of_set(tree), *profiles, "-o", str(out), "--jobs", "1"]) == 0
+    assert main(["baseline", "dct", *of_set(pristine), *profiles, "-o", str(out), "--jobs", "1"]) == 0
     shown = capsys.readouterr().out
     assert shown.startswith(f"12 frames predicted: {out}\nto score: eldata evaluate '{out}' --manifest")
-    scored = evaluate(out, manifest=tree.csv, root=tree.root)
-    rest = evaluate(None, manifest=tree.csv, root=tree.root, baseline="input")
+    scored = evaluate(out, **where(pristine))
+    rest = evaluate(None, **where(pristine), baseline="input")
     assert scored.table[-1].psnr_db > rest.table[-1].psnr_db + 3
 
     (out / SETTINGS).rename(tmp_path / SETTINGS)
-    assert main(["baseline", "dct", *of_set(tree), "-o", str(out)]) == 2
+    assert main(["baseline", "dct", *of_set(pristine), "-o", str(out)]) == 2
     assert "holds files, and none is predictions.json" in capsys.readouterr().err
 
 
-def test_other_processes_change_nothing(tree: Tree, tmp_path: Path) -> None:
+def test_other_processes_change_nothing(pristine: Tree, tmp_path: Path) -> None:
     """With profiles: the denoiser travels with its work."""
     denoiser = BaselineDenoiser("dct", tuple(known_profile(camera, (800, 1600, 3200)) for camera in CAMERAS))
     found = []
     for workers in (1, Travelling()):
         out = tmp_path / str(len(found))
-        write_predictions(denoiser, "", out, manifest=tree.csv, root=tree.root, workers=workers)
+        write_predictions(denoiser, "", out, **where(pristine), workers=workers)
         found.append({path.relative_to(out): path.read_bytes() for path in out.rglob("*") if path.is_file()})
     assert found[0] == found[1]
     assert len(found[0]) == 13
@@ -119,11 +115,11 @@ def test_a_profile_is_taken_between_its_isos() -> None:
         assert found.tukey_lambda == shape, "that of the nearest gain"
 
 
-def test_what_is_there_is_kept_and_other_settings_are_refused(tree: Tree, tmp_path: Path) -> None:
+def test_what_is_there_is_kept_and_other_settings_are_refused(pristine: Tree, tmp_path: Path) -> None:
     out = tmp_path / "p"
 
     def again(name: str, **options: Any) -> Any:
-        return write_predictions(BaselineDenoiser(name), "", out, manifest=tree.csv, root=tree.root, **options)
+        return write_predictions(BaselineDenoiser(name), "", out, **where(pristine), **options)
 
     again("input", cameras=["DemoAlpha"])
     first = sorted(out.rglob("*.npy"))
@@ -139,7 +135,7 @@ def test_what_is_there_is_kept_and_other_settings_are_refused(tree: Tree, tmp_pa
         again("input", dtype="uint16")
 
 
-def test_a_folder_without_a_prediction_begins_again(tree: Tree, tmp_path: Path) -> None:
+def test_a_folder_without_a_prediction_begins_again(pristine: Tree, tmp_path: Path) -> None:
     pytest.importorskip("fcntl")  # without locks nobody can tell whether another process works there
     out = tmp_path / "p"
 
@@ -154,7 +150,7 @@ def test_a_folder_without_a_prediction_begins_again(tree: Tree, tmp_path: Path) 
             raise EldataError(f"not for {len(frame.image)} channels")
 
     def again(denoiser: Denoiser) -> PredictionReport:
-        return write_predictions(denoiser, "", out, manifest=tree.csv, root=tree.root, cameras=["DemoAlpha"])
+        return write_predictions(denoiser, "", out, **where(pristine), cameras=["DemoAlpha"])
 
     assert (again(Failing()).written, list(out.rglob("*.npy"))) == (0, [])
     assert again(BaselineDenoiser("input")).written == 6
@@ -182,13 +178,13 @@ def unsteady(image: torch.Tensor) -> torch.Tensor:
 
 
 def test_predictions_of_a_network_that_has_changed_are_refused(
-    tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    pristine: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Code is known by the weights that it returns and by what it gives; only the same goes on."""
     code, out = "tests.baselines.test_predicting", tmp_path / "p"
 
     def predict(model: str, *options: str, to: Path = out) -> tuple[int, str]:
-        found = main(["predict", model, *of_set(tree), "--device", "cpu", "-o", str(to), *options])
+        found = main(["predict", model, *of_set(pristine), "--device", "cpu", "-o", str(to), *options])
         said = capsys.readouterr()
         return found, said.out + said.err
 
@@ -220,7 +216,7 @@ def test_predictions_of_a_network_that_has_changed_are_refused(
     assert (found, "or it gives something else at each call" in said) == (2, True)
 
 
-def test_what_lies_beside_an_onnx_file_is_part_of_it(tree: Tree, tmp_path: Path) -> None:
+def test_what_lies_beside_an_onnx_file_is_part_of_it(pristine: Tree, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     (tmp_path / "net.onnx").write_bytes(onnx_network())
     weights = tmp_path / "net.onnx.data"
@@ -228,7 +224,7 @@ def test_what_lies_beside_an_onnx_file_is_part_of_it(tree: Tree, tmp_path: Path)
 
     def predict() -> PredictionReport:
         network = load_network(str(tmp_path / "net.onnx"), tile=32, overlap=8, multiple=8, device="cpu")
-        return write_predictions(network, "", tmp_path / "p", manifest=tree.csv, root=tree.root, cameras=["DemoBeta"])
+        return write_predictions(network, "", tmp_path / "p", **where(pristine), cameras=["DemoBeta"])
 
     assert (predict().written, predict().kept) == (6, 6)
     weights.write_bytes(b"of today")
@@ -240,12 +236,12 @@ def test_what_lies_beside_an_onnx_file_is_part_of_it(tree: Tree, tmp_path: Path)
 
 
 def test_a_missing_extra_is_one_line_before_anything_is_written(
-    tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    pristine: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("bm3d", "anscombe-bm3d"):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, "bm3d", None)  # what an import of a package that is not installed meets
-            assert main(["baseline", name, *of_set(tree), "-o", str(tmp_path / "p"), "--jobs", "1"]) == 2
+            assert main(["baseline", name, *of_set(pristine), "-o", str(tmp_path / "p"), "--jobs", "1"]) == 2
         said = capsys.readouterr()
         assert (said.out, said.err.count("\n")) == ("", 1)
         assert "pip install 'eldata[bm3d]'" in said.err
@@ -253,17 +249,17 @@ def test_a_missing_extra_is_one_line_before_anything_is_written(
 
 
 def test_damaged_frames_are_listed_and_the_rest_is_predicted(
-    tree: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    pristine: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shutil.copytree(tree.root, tmp_path / "data")
-    name = next(record.path for record in tree.manifest.records if record.role == "noisy" and record.ratio == 100)
+    shutil.copytree(pristine.root, tmp_path / "data")
+    name = next(record.path for record in pristine.manifest.records if record.role == "noisy" and record.ratio == 100)
     victim = tmp_path / "data" / "ELD-demo" / name
     with tifffile.TiffFile(victim) as tiff:
         start, length = tiff.pages.first.dataoffsets[0], tiff.pages.first.databytecounts[0]
     content = bytearray(victim.read_bytes())
     content[start + length // 4 : start + length] = bytes(length - length // 4)
     victim.write_bytes(content)
-    code = main(["baseline", "input", "--manifest", str(tree.csv), "--root", str(tmp_path / "data"), "-o",
+    code = main(["baseline", "input", "--manifest", str(pristine.csv), "--root", str(tmp_path / "data"), "-o",
                  str(tmp_path / "p"), "--jobs", "1"])  # fmt: skip
     shown = capsys.readouterr().out
     assert code == 1
@@ -284,13 +280,13 @@ def test_one_noise_level_is_for_bm3d_alone() -> None:
         BaselineDenoiser("bm3d", noise="foi2008")  # type: ignore[arg-type]
 
 
-def test_where_the_noise_is_known_from(tree: Tree, tmp_path: Path) -> None:
+def test_where_the_noise_is_known_from(pristine: Tree, tmp_path: Path) -> None:
     """From the profile alone where there is one; without, a frame that does not tell its noise is named."""
 
-    where: dict[str, Any] = {"cameras": ["DemoAlpha"], "manifest": tree.csv, "root": tree.root}
+    options = {**where(pristine), "cameras": ["DemoAlpha"]}
 
     def predicted(name: str, *profiles: CameraProfile, another: bool = False) -> PredictionReport:
-        return write_predictions(BaselineDenoiser("dct", profiles, another), "", tmp_path / name, **where)
+        return write_predictions(BaselineDenoiser("dct", profiles, another), "", tmp_path / name, **options)
 
     known = known_profile(CAMERAS[0], (800, 1600, 3200))
     assert predicted("known", known).written == 6
@@ -325,7 +321,7 @@ def test_where_the_noise_is_known_from(tree: Tree, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["module", "class", "function", "script", "export", "onnx"])
-def test_predictions_are_the_networks_own(kind: str, tree: Tree, tmp_path: Path) -> None:
+def test_predictions_are_the_networks_own(kind: str, pristine: Tree, tmp_path: Path) -> None:
     module, weights = Doubled(), None
     with torch.no_grad():
         module.offset.fill_(0.125)
@@ -348,8 +344,8 @@ def test_predictions_are_the_networks_own(kind: str, tree: Tree, tmp_path: Path)
         name = str(tmp_path / "net.onnx")
         (tmp_path / "net.onnx").write_bytes(onnx_network())
     network = load_network(name, tile=32, overlap=8, multiple=8, device="cpu", weights=weights)
-    write_predictions(network, "", tmp_path / "p", manifest=tree.csv, root=tree.root, clip="both", cameras=["DemoBeta"])
-    dataset = ELDDataset(tree.data, manifest=tree.csv, cameras=["DemoBeta"], clip="both")
+    write_predictions(network, "", tmp_path / "p", **where(pristine), clip="both", cameras=["DemoBeta"])
+    dataset = ELDDataset(pristine.data, manifest=pristine.csv, cameras=["DemoBeta"], clip="both")
     for sample in dataset:
         found = np.load((tmp_path / "p" / sample["path"]).with_suffix(".npy"))
         offset = {"module": 0.25, "function": 0.0, "onnx": 0.0}.get(kind, 0.125)
@@ -408,20 +404,22 @@ def exported(path: Path, module: torch.nn.Module) -> Path:
     return path
 
 
-def test_what_the_commands_say_to_wrong_input(tree: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_the_commands_say_to_wrong_input(
+    pristine: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """One sentence each, and no folder of predictions is begun for a model that cannot be loaded."""
     code, out = "tests.baselines.test_predicting", ["-o", str(tmp_path / "p"), "--device", "cpu"]
     for words, said in (
-        ([*of_set(tree), f"{tmp_path}"], "is a folder; give a model's file"),
-        ([*of_set(tree), f"{code}:halved", "--device", "abacus"], "--device abacus: torch knows no such device"),
-        (["--manifest", str(tree.csv), "--root", str(tmp_path / "nowhere"), f"{code}:halved"], "nowhere"),
+        ([*of_set(pristine), f"{tmp_path}"], "is a folder; give a model's file"),
+        ([*of_set(pristine), f"{code}:halved", "--device", "abacus"], "--device abacus: torch knows no such device"),
+        (["--manifest", str(pristine.csv), "--root", str(tmp_path / "nowhere"), f"{code}:halved"], "nowhere"),
     ):
         assert main(["predict", *out, *words]) == 2
         error = capsys.readouterr().err
         assert (error.count("\n"), said in error) == (1, True), error
         assert not (tmp_path / "p").exists()
 
-    assert main(["predict", f"{code}:Nine", *of_set(tree), *out]) == 1
+    assert main(["predict", f"{code}:Nine", *of_set(pristine), *out]) == 1
     shown = capsys.readouterr().out.splitlines()
     assert shown[0].startswith("12 frames, such as DemoAlpha/scene-1/IMG_0004.dng: the network cannot take (1, 4, ")
     assert "4 channels: " in shown[0]
@@ -437,9 +435,9 @@ class Nine(torch.nn.Conv2d):
         super().__init__(9, 9, 3, padding=1)
 
 
-def test_values_that_are_not_numbers_are_named(tree: Tree, tmp_path: Path) -> None:
+def test_values_that_are_not_numbers_are_named(pristine: Tree, tmp_path: Path) -> None:
     network = load_network("tests.baselines.test_predicting:broken")
-    report = write_predictions(network, "", tmp_path / "p", manifest=tree.csv, root=tree.root)
+    report = write_predictions(network, "", tmp_path / "p", **where(pristine))
     assert report.written == 0
     assert "values NaN or infinite" in report.problems[0]
     assert not list((tmp_path / "p").rglob("*.npy"))

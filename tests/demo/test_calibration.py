@@ -6,12 +6,11 @@ import json
 import re
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 import eldata.demo.calibration
-from eldata.base.workers import Workers
 from eldata.cli.main import main
 from eldata.demo.body import FixedFeatures
 from eldata.demo.calibration import against_truth, run_calibration_demo
@@ -53,13 +52,8 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration, s
         patched(patch)
         lines: list[str] = []
         patch.setattr("builtins.print", lambda *words, **_: lines.append(" ".join(map(str, words))))
-        found = run_calibration_demo(folder, workers=Workers(2))
+        found = run_calibration_demo(folder)
     return folder, found, "\n".join(lines)
-
-
-def truth_of(folder: Path) -> dict[str, Any]:
-    read: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    return read
 
 
 def test_what_it_leaves(demo: tuple[Path, Calibration, str]) -> None:
@@ -76,7 +70,7 @@ def test_what_it_prints(demo: tuple[Path, Calibration, str]) -> None:
         "42 raw files (DNG), bias and flat-field frames of DemoGamma",
         f"$ eldata calibrate {folder / 'data' / 'calibration'} --camera DemoGamma -o {folder / 'DemoGamma.json'}",
         found.format_text(),
-        against_truth(found, truth_of(folder)),
+        against_truth(found, json.loads((folder / "truth.json").read_text())),
         str(folder / "calibration.html"),
     ):
         assert words in out
@@ -93,14 +87,10 @@ def test_the_command_that_it_names_gives_the_same(demo: tuple[Path, Calibration,
     assert (tmp_path / "r.html").read_bytes() == (folder / "calibration.html").read_bytes()
 
 
-def cells(text: str) -> list[list[str]]:
-    return [re.split(r"  +", line.strip()) for line in text.splitlines()]
-
-
 def test_the_table_of_errors_is_found_less_true(demo: tuple[Path, Calibration, str]) -> None:
     folder, found, _ = demo
-    truth = truth_of(folder)
-    header, _, *rows = cells(against_truth(found, truth))
+    truth = json.loads((folder / "truth.json").read_text())
+    header, _, *rows = (re.split(r"  +", line.strip()) for line in against_truth(found, truth).splitlines())
     assert header == ["ISO", "K [%]", "lambda", "sigma_TL [%]", "sigma_G [%]", "sigma_row [%]", "colour bias [DN]"]
     assert len(rows) == 3
     for row, one, true in zip(rows, found.isos, truth["isos"], strict=True):

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from eldata.base.workers import Workers
 from eldata.demo.body import Body, FixedFeatures
 from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
 from eldata.errors import ArgumentError
 from eldata.manifest import verify
 from eldata.manifest.catalogue import load_manifest
 from eldata.raw.reading import read_raw
+from tests.baselines.travelling import Travelling
 from tests.calibration import draws
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ SMALL: dict[str, Any] = {"isos": ISOS, "bias_frames": 3, "flat_levels": 3, "size
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Manifest]:
     folder = tmp_path_factory.mktemp("calibration") / "new"
-    return folder, make_calibration_frames(folder, **SMALL)
+    return folder, make_calibration_frames(folder, **SMALL, workers=Workers(executor=Travelling()))
 
 
 @pytest.fixture(scope="module")
@@ -58,13 +60,17 @@ def test_the_manifest(made: tuple[Path, Manifest]) -> None:
         assert (record.height, record.width) == SIZE
 
 
-def test_each_frame_has_its_own_seed(made: tuple[Path, Manifest]) -> None:
+def test_each_frame_has_its_own_seed(made: tuple[Path, Manifest], truth: dict[str, Any]) -> None:
     """The specimen is [seed, 0]; the frames of the ISO at index i are [seed, 1 + i, 0, 1, ...], bias then flats."""
     folder = made[0] / "data" / "calibration" / "DemoGamma"
     sensor = replace(DEMO_GAMMA.sensor, height=SIZE[0], width=SIZE[1])
-    body = Body(sensor, DEMO_FEATURES, np.random.default_rng([0, 0]))
-    frame = body.bias_frame(DEMO_GAMMA.noise_at(800), np.random.default_rng([0, 2, 1]))
-    np.testing.assert_array_equal(read_raw(folder / "bias" / "ISO800" / "IMG_0005.dng").mosaic, frame)
+    body, noise = Body(sensor, DEMO_FEATURES, np.random.default_rng([0, 0])), DEMO_GAMMA.noise_at(800)
+    level = truth["isos"][1]["flats"][2]["mean_level_dn"] / truth["mean_light"]
+    for path, frame in (
+        ("bias/ISO800/IMG_0005.dng", body.bias_frame(noise, np.random.default_rng([0, 2, 1]))),
+        ("flat/ISO800/IMG_0018.dng", body.flat_frame(noise, level, np.random.default_rng([0, 2, 8]))),
+    ):
+        np.testing.assert_array_equal(read_raw(folder / path).mosaic, frame)
 
 
 # --- exposures ------------------------------------------------------------------------------------------------------
@@ -95,28 +101,6 @@ def test_levels_from_5_to_80_percent_under_one_lamp(levels: int, tmp_path: Path)
             assert flat["mean_level_dn"] == pytest.approx(light)
 
 
-def test_frames_have_the_level_and_noise_that_the_truth_says(tmp_path: Path) -> None:
-    """Without pattern, n = 24 576: means and variances of pairs within 5 standard errors of the closed forms."""
-    manifest = make_calibration_frames(tmp_path, **{**SMALL, "size": (128, 192)}, features=FixedFeatures())
-    truth = json.loads((tmp_path / "truth.json").read_text())
-    pixels, rows = 128 * 192, 128
-    for entry in truth["isos"]:
-        flats = [r.path for r in manifest.records if r.role == "flat" and r.iso == entry["iso"]]
-        bias = [r.path for r in manifest.records if r.role == "bias" and r.iso == entry["iso"]]
-        levels = [0.0] + [flat["mean_level_dn"] for flat in entry["flats"]]
-        for level, pair in zip(levels, (bias[:2], flats[:2], flats[2:4], flats[4:6]), strict=True):
-            frames = [read_raw(manifest.folder(tmp_path / "data") / path).mosaic.astype(np.float64) for path in pair]
-            own = entry["gain_dn_per_e"] * level + entry["sigma_gauss_dn"] ** 2 + 1 / 12
-            error = math.sqrt(own / pixels + entry["sigma_row_dn"] ** 2 / rows)
-            for frame in frames:
-                expected = 512 + np.mean(entry["colour_bias_dn"]) + level
-                assert frame.mean() == pytest.approx(expected, abs=5 * error)
-            variance = (frames[0] - frames[1]).var() / 2
-            row = entry["sigma_row_dn"] ** 2
-            error = math.sqrt(4 * own**2 / pixels + 2 * row**2 / rows)
-            assert variance == pytest.approx(own + row, abs=5 * error)
-
-
 # --- truth ----------------------------------------------------------------------------------------------------------
 
 
@@ -138,9 +122,6 @@ def test_the_truth_is_complete(truth: dict[str, Any]) -> None:
         assert entry["sigma_gauss_dn"] == noise.sigma_gauss_dn
         assert entry["pattern_scale"] == math.sqrt(noise.gain_dn_per_e)
         assert entry["colour_bias_with_pattern_dn"] == list(body.colour_bias_dn(noise))
-
-
-# --- seeds and jobs ---------------------------------------------------------------------------------------------------
 
 
 # --- other cameras ----------------------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-import rawpy
 
 from eldata.datasets import ELDDataset
 from eldata.demo.camera import CAMERAS
@@ -46,16 +45,6 @@ def test_no_two_frames_share_their_noise(tree: tuple[Path, Manifest]) -> None:
     assert abs(np.corrcoef((first - first.mean()).ravel(), (second - second.mean()).ravel())[0, 1]) > 0.9  # one scene
     difference = first - second
     assert 1 < difference.std() < 100
-
-
-def test_libraw_agrees_on_phase_and_levels(tree: tuple[Path, Manifest]) -> None:
-    folder = tree[0] / "data" / "ELD-demo"
-    for camera in CAMERAS:
-        with rawpy.imread(str(folder / camera.name / "scene-1" / "IMG_0001.dng")) as raw:
-            assert raw.raw_pattern is not None
-            assert raw.raw_pattern.tolist() == [list(row) for row in camera.sensor.cfa]
-            assert tuple(raw.black_level_per_channel) == camera.sensor.black_level_dn
-            assert raw.white_level == camera.sensor.white_level_dn
 
 
 def test_exposures_are_the_manifests_and_ratios_exact(tree: tuple[Path, Manifest]) -> None:

@@ -23,7 +23,7 @@ from eldata.reports.comparison import write_comparison_page
 from tests.capture.checklist_browser import Browser, Page
 from tests.evaluation.helpers import Tree, perturbed, place, small_tree
 from tests.reports.evaluations import written
-from tests.reports.pages import assert_well_formed, checked
+from tests.reports.pages import OUTSIDE, assert_well_formed, checked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -204,10 +204,6 @@ def page(browser: Browser, compared: Compared, tmp_path: Path) -> Iterator[Page]
     page.close()
 
 
-OUTSIDE = (
-    "[...document.querySelectorAll('body *')].filter((e) => !e.closest('.scroll, .skip, .unseen, .glass') &&"
-    " e.getBoundingClientRect().right > innerWidth + 0.5).map((e) => e.outerHTML.slice(0, 80))"
-)
 TRANSFORMS = "[...document.querySelectorAll('.glass img')].map((e) => e.style.transform)"
 SHOWN = (
     "[...document.querySelectorAll('table.sortable tbody tr')].filter((e) => !e.hidden)"

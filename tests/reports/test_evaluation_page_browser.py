@@ -15,7 +15,7 @@ from eldata.reports.evaluation import evaluation_page, write_evaluation_page
 from tests.capture.checklist_browser import Browser, Page
 from tests.evaluation.helpers import place, small_tree
 from tests.reports.evaluations import result
-from tests.reports.test_compare_pictures import OUTSIDE
+from tests.reports.pages import OUTSIDE
 from tests.reports.test_evaluation_page import hostile_data
 
 if TYPE_CHECKING:

@@ -21,9 +21,10 @@ from eldata.reports.calibration import calibration_page
 from eldata.reports.html import digits, measured, prose, typeset
 from tests.calibration.in_memory import read_of
 from tests.calibration.simulation import XTRANS
+from tests.capture.checklist_browser import Browser, Page
 from tests.reports import calibrations
 from tests.reports.calibrations import camera_at
-from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser
+from tests.reports.pages import HOSTILE, OUTSIDE, assert_self_contained, assert_well_formed, checked
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -257,13 +258,18 @@ def test_blocks_are_means() -> None:
 
 @pytest.mark.browser
 @pytest.mark.parametrize(("which", "width"), [*((which, 390) for which in PAGES), ("page", 1280)])
-def test_in_a_browser(chromium: str, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_in_a_browser(browser: Browser, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     text = request.getfixturevalue(which).replace('<details class="iso">', '<details class="iso" open>')
-    found = seen_in_browser(chromium, text, width, tmp_path)
-    assert found["width"] == width
-    assert found["scroll"] <= width
-    assert found["wide"] == []
-    for complete, natural, *shown in found["images"]:
+    (tmp_path / "page.html").write_text(text, encoding="utf-8")
+    page = Page(browser, tmp_path, width, 900)
+    page.open((tmp_path / "page.html").as_uri())
+    assert page.run("innerWidth") == width
+    assert page.run("document.documentElement.scrollWidth") <= width
+    assert page.run(OUTSIDE) == []
+    images = page.run("[...document.images].map((e) => [e.complete, e.naturalWidth, e.width, e.height])")
+    assert page.problems() == []  # nothing from the network, no error, nothing against the policy
+    page.close()
+    for complete, natural, *shown in images:
         assert complete
         assert natural > 0
         assert all(side > least for side, least in zip(shown, (130, 80), strict=True))

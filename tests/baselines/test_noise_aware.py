@@ -100,18 +100,6 @@ def test_the_training_goes_on_and_another_begins_with_its_weights(example: Any, 
         assert all(np.isfinite(float(value)) for line in csv.DictReader(file) for value in line.values())
 
 
-def test_the_mean_of_the_weights_is_what_is_used(example: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After n steps with weights w, a mean that began at 0 is w (1 - (1 - share)^n)."""
-    monkeypatch.setattr(example, "SHARE", 0.25)
-    network = example.Averaged(example.NoiseAwareUNet())
-    with torch.no_grad():
-        network.network.last.bias.fill_(2.0)
-        for _ in range(3):
-            network.train()(torch.zeros(1, 4, 8, 8), torch.ones(1), torch.ones(1))
-    bias = network.average.last.bias
-    torch.testing.assert_close(bias, torch.full_like(bias, 2 * (1 - 0.75**3)))
-
-
 def test_the_line_of_a_batch_is_the_models(example: Any) -> None:
     """Of lambda from -0.24 to 0.2 and near 0, against the closed form that the noise model has."""
     shapes = torch.tensor([-0.24, -0.05, -1e-6, 0.0, 1e-3, 0.2], dtype=torch.float64)

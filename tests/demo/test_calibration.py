@@ -46,8 +46,10 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration, str]:
-    """Folder, result, and what was printed."""
-    folder = tmp_path_factory.mktemp("demo") / "new" / "folder"
+    """Folder, result, and what was printed; over an earlier demo of another kind."""
+    folder = tmp_path_factory.mktemp("demo")
+    (folder / ".eldata-demo").write_text("x")
+    (folder / "data" / "ELD-demo").mkdir(parents=True)
     with pytest.MonkeyPatch.context() as patch:
         patched(patch)
         lines: list[str] = []
@@ -62,6 +64,7 @@ def test_what_it_leaves(demo: tuple[Path, Calibration, str]) -> None:
     assert CameraProfile.load(folder / "DemoGamma.json") == found.profile
     assert (folder / "calibration.html").read_text(encoding="utf-8") == page(found)
     assert not list(folder.rglob("*.part"))
+    assert [path.name for path in (folder / "data").iterdir()] == ["calibration"], "nothing is left of the earlier one"
 
 
 def test_what_it_prints(demo: tuple[Path, Calibration, str]) -> None:
@@ -147,13 +150,3 @@ def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main(["demo", str(tmp_path / "x"), "--calibration", "--scenes", "2"]) == 2
     assert "leave it out with --calibration" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
-
-
-def test_again_over_an_earlier_demo(tmp_path: Path) -> None:
-    """Of another kind or of the same: nothing of the other is left in data and manifests."""
-    folder = tmp_path / "x"
-    folder.mkdir()
-    (folder / ".eldata-demo").write_text("x")
-    (folder / "data" / "ELD-demo").mkdir(parents=True)
-    run_calibration_demo(folder)
-    assert [path.name for path in (folder / "data").iterdir()] == ["calibration"]

@@ -20,8 +20,6 @@ from eldata.noise.components import expose
 from eldata.noise.on_device import expose_on_device
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
 RANGE_DN = 15871.0
@@ -155,30 +153,6 @@ ENGINES = [
         partial(device_dn, device="cuda"), id="cuda", marks=pytest.mark.skipif(not CUDA, reason="there is no GPU")
     ),
 ]
-
-
-def check_closed_forms(
-    draw: Callable[..., NDArray[np.float64]], spec: str, parameters: NoiseParameters = PARAMETERS, **options: Any
-) -> None:
-    """Compare channel means and the variance at each signal.
-
-    Each image has 4096 rows of 16 entries in each of four channels: 65536 pixels for a mean, 262144 pixels in 8192
-    mosaic rows for the variance. 5 standard errors, 35 comparisons: false alarms below 1e-4 for all seven models.
-    """
-    shape = (4, 4096, 16)
-    pixels, rows = 4096 * 16, 4096
-    dn = draw(spec, clean_of(SIGNALS_E, shape, parameters), parameters, **options)
-    assert np.isfinite(dn).all()
-    for signal_e, image in zip(SIGNALS_E, dn, strict=True):
-        laws = [Law.of(spec, parameters, float(signal_e), bias) for bias in parameters.colour_bias_dn]
-        for channel, law in zip(image, laws, strict=True):
-            # The second term: float32 of the clean value, of the product and of the result.
-            tolerance = 5 * law.mean_error(pixels, rows) + 3e-7 * abs(law.mean)
-            assert abs(channel.mean() - law.mean) <= tolerance, (signal_e, channel.mean(), law)
-        square = np.mean([np.mean((channel - law.mean) ** 2) for channel, law in zip(image, laws, strict=True)])
-        law = laws[0]
-        tolerance = 5 * law.variance_error(4 * pixels, 2 * rows) + 1e-9
-        assert abs(square - law.variance - law.row_variance) < tolerance, (signal_e, square, law)
 
 
 def poisson_p_value(counts: NDArray[np.float64], mean: float) -> float:

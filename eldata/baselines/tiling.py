@@ -71,19 +71,17 @@ def tiled(
         return np.ascontiguousarray(_same_size(function(whole), whole)[:, :height, :width], dtype=np.float32)
     rows, columns = (_places(length, min(tile, length), overlap) for length in whole.shape[1:])
     sides = tuple(min(tile, length) for length in whole.shape[1:])
-    total: NDArray[np.float32] | None = None
+    total = np.zeros((0, *whole.shape[1:]), np.float32)
     for top, row_weight in zip(rows, _fades(rows, sides[0], overlap), strict=True):
         for left, column_weight in zip(columns, _fades(columns, sides[1], overlap), strict=True):
             part = np.ascontiguousarray(whole[:, top : top + sides[0], left : left + sides[1]])
             made = _same_size(function(part), part)
-            if total is None:
+            if not len(total):
                 total = np.zeros((len(made), *whole.shape[1:]), np.float32)
             place = total[:, top : top + sides[0], left : left + sides[1]]
             weight = np.outer(row_weight, column_weight).astype(np.float32)
             # What has no weight may be anything, NaN too.
             np.add(place, made * weight, out=place, where=weight > 0)
-    if total is None:
-        raise ArgumentError(f"an image of {image.shape} has no pixels")
     return np.ascontiguousarray(total[:, :height, :width])
 
 

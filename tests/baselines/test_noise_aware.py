@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,7 @@ from tests.trees import frame, tree_in
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "train_noise_aware.py"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 WEIGHTS = Path(unet.__file__).with_name("noise_aware.safetensors")
 NOISY = 4  # of the tree's frames, at factor 100
 LINES = {"shot noise": (0.05, 1e-6), "both": (0.01, 1e-4), "read noise": (1e-6, 0.01), "read noise alone": (0.0, 0.01)}
@@ -65,12 +65,8 @@ def test_before_its_training_it_returns_its_input() -> None:
 @pytest.fixture
 def example(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """The script of the training, with three frames, and epochs of nine steps."""
-    monkeypatch.syspath_prepend(EXAMPLE.parent)  # whose pictures are the virtual benchmark's
-    spec = importlib.util.spec_from_file_location("train_noise_aware", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    monkeypatch.syspath_prepend(EXAMPLES)  # whose pictures are the virtual benchmark's
+    module = import_module("train_noise_aware")
     small = {"FRAMES": {"still life": 1, "picture": 1, "leaves": 1}, "HELD": {"picture": 2}, "SIDE": 64, "EPOCH": 9}
     for name, value in {**small, "HELD_SIDE": 32}.items():
         monkeypatch.setattr(module, name, value)

@@ -64,7 +64,7 @@ def test_what_does_not_go_together(tile: int, overlap: int, multiple: int) -> No
         tiled(lambda part: part, np.zeros((4, 64, 64), np.float32), tile=tile, overlap=overlap, multiple=multiple)
 
 
-def test_a_function_that_changes_the_size_is_named() -> None:
+def test_images_that_do_not_fit_are_named() -> None:
     with pytest.raises(ArgumentError, match=r"of an image of \(4, 64, 64\) it made \(4, 62, 62\)"):
         tiled(lambda part: part[:, 1:-1, 1:-1], np.zeros((4, 64, 64), np.float32), tile=0, overlap=0, multiple=1)
     with pytest.raises(ArgumentError, match="too small to be extended to multiples of 16"):

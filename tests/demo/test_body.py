@@ -25,10 +25,7 @@ PATTERN = FixedFeatures(
     prnu=0.01, dsnu_dn=0.8, column_pattern_dn=0.4, hot_share=1e-3, bias_shading_dn=1.5, vignetting=0.4
 )
 NONE = FixedFeatures()
-
-
-def rng(seed: int) -> np.random.Generator:
-    return np.random.default_rng(seed)
+rng = np.random.default_rng
 
 
 def body(sensor: Sensor = BAYER, features: FixedFeatures = NONE, seed: int = 0) -> Body:
@@ -139,17 +136,6 @@ def test_the_pattern_has_the_features_strength() -> None:
     assert (hot.pattern_dn[hot.hot] > 0).mean() == pytest.approx(0.8, abs=5 * math.sqrt(0.16 / hot.hot.sum()))
     assert hot.pattern_dn.max() <= 3000
     assert hot.pattern_dn.min() >= -150
-
-
-def test_the_pattern_is_the_same_in_every_frame() -> None:
-    """Ten frames less the offset: what is left of the mean has the frames' own noise, no more."""
-    # Without the shading: it goes along the rows, as their noise does, and the pixels would not be independent.
-    one, generator = body(features=replace(PATTERN, bias_shading_dn=0.0)), rng(8)
-    mean = np.mean([one.bias_frame(NOISE, generator) for _ in range(10)], axis=0)
-    left = (mean - one.offset_dn(NOISE))[~one.hot]
-    expected = (NOISE.sigma_gauss_dn**2 + 0.25 + 1 / 12) / 10
-    assert left.var() == pytest.approx(expected, rel=0.02)
-    assert abs(np.corrcoef(left, one.pattern_dn[~one.hot])[0, 1]) < 5 / math.sqrt(left.size)
 
 
 def test_hot_pixels_stay_at_every_iso_and_grow_with_the_root_of_the_gain() -> None:

@@ -20,6 +20,7 @@ from tests.cases import in_one_test
 from tests.shared import there
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from eldata.calibration import Calibration
@@ -33,15 +34,13 @@ def page(found: Calibration) -> str:
     return f'<!DOCTYPE html><meta name="generator" content="eldata calibration">{found.camera}\n{found.format_text()}'
 
 
-def patched(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(eldata.demo.calibration, "make_calibration_frames", SMALL)
-    patch.setattr(eldata.demo.calibration, "calibration_page", page)
-    patch.setattr("eldata.reports.calibration.calibration_page", page)
-
-
-@pytest.fixture(autouse=True)
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    patched(monkeypatch)
+@pytest.fixture(scope="module", autouse=True)
+def small() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(eldata.demo.calibration, "make_calibration_frames", SMALL)
+        patch.setattr(eldata.demo.calibration, "calibration_page", page)
+        patch.setattr("eldata.reports.calibration.calibration_page", page)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +50,6 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration, s
     (folder / ".eldata-demo").write_text("x")
     (folder / "data" / "ELD-demo").mkdir(parents=True)
     with pytest.MonkeyPatch.context() as patch:
-        patched(patch)
         lines: list[str] = []
         patch.setattr("builtins.print", lambda *words, **_: lines.append(" ".join(map(str, words))))
         found = run_calibration_demo(folder)

@@ -114,14 +114,12 @@ def test_running_again_after_an_interruption(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.usefixtures("small")
-@pytest.mark.parametrize("kind", ["file-inside", "folder-inside", "is-a-file"])
-def test_a_foreign_folder_is_refused_and_left_alone(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("inside", ["notes.txt", "data/notes.txt", ""])
+def test_a_foreign_folder_is_refused_and_left_alone(inside: str, tmp_path: Path) -> None:
+    """One that holds a file or a folder, or is a file itself."""
     folder = tmp_path / "photos"
-    if kind == "is-a-file":
-        folder.write_text("mine")
-    else:
-        folder.mkdir()
-        (folder / "data").mkdir() if kind == "folder-inside" else (folder / "notes.txt").write_text("mine")
+    (folder / inside).parent.mkdir(parents=True, exist_ok=True)
+    (folder / inside).write_text("mine")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(EldataError, match="photos"):
         run_demo(folder, scenes=1)

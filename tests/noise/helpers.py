@@ -109,20 +109,6 @@ def compiled_dn(
     return noisy.astype(np.float64) * (RANGE_DN / RATIO)
 
 
-def on_device(
-    spec: str,
-    clean: torch.Tensor,
-    parameters: NoiseParameters,
-    generator: torch.Generator,
-    *,
-    adc: Adc | None = None,
-    limits: tuple[float, float] = (-math.inf, math.inf),
-) -> torch.Tensor:
-    """Call the engine for other devices, whatever the device."""
-    draws = [NoiseDraw(parameters, RATIO, RANGE_DN)] * len(clean)
-    return expose_on_device(clean, draws, parse_components(spec), generator, adc=adc, limits=limits)
-
-
 def plain_dn(spec: str, clean: NDArray[np.float32], parameters: NoiseParameters, seed: int = 0) -> NDArray[np.float64]:
     """D in DN above black, of the definitions in numpy."""
     generator = np.random.default_rng(seed)
@@ -139,8 +125,8 @@ def device_dn(
     device: str = "cpu",
 ) -> NDArray[np.float64]:
     """D in DN above black, of the engine for other devices."""
-    generator = torch.Generator(device).manual_seed(seed)
-    noisy = on_device(spec, torch.from_numpy(clean).to(device), parameters, generator, adc=adc)
+    draws, generator = [NoiseDraw(parameters, RATIO, RANGE_DN)] * len(clean), torch.Generator(device).manual_seed(seed)
+    noisy = expose_on_device(torch.from_numpy(clean).to(device), draws, parse_components(spec), generator, adc=adc)
     dn: NDArray[np.float64] = noisy.cpu().numpy().astype(np.float64) * (RANGE_DN / RATIO)
     return dn
 

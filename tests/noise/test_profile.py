@@ -169,7 +169,7 @@ def log_gains(draws: list[NoiseParameters]) -> Any:
     return np.log([draw.gain_dn_per_e for draw in draws])
 
 
-def residuals(profile: CameraProfile, draws: list[NoiseParameters], fit: str) -> Any:
+def residuals(profile: CameraProfile | GainMode, draws: list[NoiseParameters], fit: str) -> Any:
     """How many deviations of the fit ln sigma lies off its line."""
     line = getattr(profile, fit)
     sigmas = np.log([getattr(draw, SIGMA_OF[fit]) for draw in draws])
@@ -388,14 +388,10 @@ def test_joint_draws_are_those_of_the_mode_in_which_k_lies() -> None:
         inside = [one for one in draws if mode.distance(one.gain_dn_per_e) == 0]
         shares[mode] = len(inside)
         low, high = (math.log(limit) for limit in mode.gain_range_dn_per_e)
-        x = np.log([one.gain_dn_per_e for one in inside])
+        x = log_gains(inside)
         assert stats.kstest(x, stats.uniform(low, high - low).cdf).pvalue > LEAST_P_VALUE
-        for fit, name in (
-            (mode.tukey_lambda_fit, "sigma_tl_dn"), (mode.gauss_fit, "sigma_gauss_dn"), (mode.row_fit, "sigma_row_dn")
-        ):  # fmt: skip
-            assert fit is not None
-            z = (np.log([getattr(one, name) for one in inside]) - fit.slope * x - fit.intercept) / fit.sigma
-            assert stats.kstest(z, "norm").pvalue > LEAST_P_VALUE, name
+        for fit in FITS:
+            assert stats.kstest(residuals(mode, inside, fit), "norm").pvalue > LEAST_P_VALUE, fit
         of_mode = {
             (row.tukey_lambda, row.colour_bias_dn) for row in TWO.rows if mode.distance(row.gain_dn_per_e or 1) == 0
         }

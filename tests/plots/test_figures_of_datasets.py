@@ -17,7 +17,7 @@ from eldata.plots.pictures import side_by_side
 from eldata.raw import read_raw
 from tests.calibration.trees import CAMERA, made_tree
 from tests.drv_tree import small_drv
-from tests.plots.notebooks import assert_one_line, assert_shows_in_a_notebook
+from tests.plots.test_figures_of_results import assert_one_line, assert_shows_in_a_notebook
 from tests.reports.pages import HOSTILE, checked
 from tests.sources.store.helpers import pack_tree
 from tests.trees import copy_tree

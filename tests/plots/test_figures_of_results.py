@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import sys
 from dataclasses import replace
@@ -17,15 +18,45 @@ from eldata.evaluation.comparison import compare
 from eldata.noise import CameraProfile
 from eldata.plots.axes import LIGHT, MARKERS
 from eldata.protocols import PROTOCOLS
-from tests.plots.notebooks import assert_one_line, assert_shows_in_a_notebook
 from tests.reports.calibrations import calibration, camera_at, measured
 from tests.reports.evaluations import result
-from tests.reports.pages import HOSTILE
+from tests.reports.pages import HOSTILE, checked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from eldata.calibration.results import Calibration
+
+
+# Colours of the page's own, and greys that show on white and on black.
+_COLOURS = {"inherit", "none"}
+
+
+def assert_one_line(shown: object, part: str) -> None:
+    text = repr(shown)
+    assert part in text
+    assert "\n" not in text
+    assert text.isprintable()
+
+
+def assert_shows_in_a_notebook(shown: Any, *parts: str) -> None:
+    """Well-formed, without script, style sheet or address, readable on a dark page; it says these texts."""
+    html = shown._repr_html_()
+    page = checked(html)
+    for part in parts:
+        assert part in page.text, part
+    assert {tag for tag, _ in page.elements} <= {
+        *("div", "p", "b", "table", "thead", "tbody", "tr", "th", "td", "figure", "img", "figcaption")
+    }
+    for tag, attributes in page.elements:
+        assert set(attributes) <= ({"src", "alt"} if tag == "img" else {"style"}), tag
+        for colour in re.findall(r"(?:^|; )(?:color|background): ([^;]+)", attributes.get("style", "")):
+            assert colour in _COLOURS
+    for picture in page.all("img"):
+        assert picture["alt"]
+        assert picture["src"].startswith("data:image/jpeg;base64,")
+        assert len(picture["src"]) < 30_000
+    assert page.text.replace("\n", " ").isprintable()
 
 
 def points_of(axes: Axes) -> list[tuple[float, float]]:

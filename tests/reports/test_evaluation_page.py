@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 
     from eldata.evaluation.results import EvaluationResult
 
-NOTHING = ()
-
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
@@ -90,7 +88,7 @@ def hostile_data(**options: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def hostile() -> str:
-    return evaluation_page(saved_result(hostile_data(), "test"), NOTHING)
+    return evaluation_page(saved_result(hostile_data(), "test"), ())
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +155,7 @@ def test_intervals_over_scenes_are_in_the_table() -> None:
     from eldata.evaluation.statistics import interval_of_mean
 
     one = result()
-    text = evaluation_page(one, NOTHING)
+    text = evaluation_page(one, ())
     for row in one.table:
         images = one.scores_of(row)
         interval = interval_of_mean([image.psnr_db for image in images], [image.scene for image in images])
@@ -176,14 +174,14 @@ def test_nothing_scored() -> None:
     data["table"] = [row | {"scored": 0, "psnr_db": None, "ssim": None} for row in table_of(data)]
     data |= {"images": [], "problems": [{"path": "a", "reason": "has no prediction"}]}
     data["coverage"] = {"pairs": 12, "scored": 0, "missing": ["a"]}
-    text = checked(evaluation_page(saved_result(data, "test"), NOTHING)).text
+    text = checked(evaluation_page(saved_result(data, "test"), ())).text
     assert "Nothing was scored: 1 problem, listed below." in text
     assert "a: has no prediction" in text
     assert not re.search(r"\bnan\b", text)
 
 
 def test_without_rescaling_there_is_no_plot_of_it() -> None:
-    text = checked(evaluation_page(result(protocol="eld-uncorrected"), NOTHING)).text
+    text = checked(evaluation_page(result(protocol="eld-uncorrected"), ())).text
     assert "there is no factor to show" in text
     assert "Rescaling that was found" not in text
 

@@ -224,20 +224,13 @@ def test_three_channels(xtrans: str) -> None:
 # --- parts --------------------------------------------------------------------------------------------------------
 
 
-def test_typeset_leaves_words_alone() -> None:
+def test_text_of_pages() -> None:
     assert typeset("sigma_TL in DN^2, 3 e-, lambda, R2") == "σ TL in DN², 3 e⁻, λ, R²"
     assert typeset("single-frame, Tukey-lambda, one-") == "single-frame, Tukey-lambda, one-"
-
-
-def test_prose_signs_numbers_alone() -> None:
     assert prose("from -0.05 to 3-4, p = -.1 (-2), ISO-100") == "from −0.05 to 3-4, p = −.1 (−2), ISO-100"
-
-
-def test_numbers() -> None:
     assert [digits(value) for value in (-0.01234, 12345.0, math.nan)] == ["−0.0123", "1.23e+04", "not known"]
-    assert measured(-1.234, 0.02, "DN") == "−1.234 ± 0.020 DN"
-    assert measured(1.0, math.nan) == "1"
-    assert measured(math.nan, 1.0) == "not known"
+    numbers = measured(-1.234, 0.02, "DN"), measured(1.0, math.nan), measured(math.nan, 1.0)
+    assert numbers == ("−1.234 ± 0.020 DN", "1", "not known")
 
 
 def test_grey_spans_black_and_white() -> None:

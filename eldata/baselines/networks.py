@@ -8,7 +8,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import warnings
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
 from pathlib import Path
@@ -105,13 +105,10 @@ class _TorchRun:
         import torch
 
         numbers = torch.from_numpy(image)[None].to(self.device)
-        mixed = (
-            nullcontext()
-            if self.precision == "float32"
-            else torch.autocast(self.device.partition(":")[0], dtype=getattr(torch, self.precision))
-        )
+        mixed = None if self.precision == "float32" else getattr(torch, self.precision)
+        kind = self.device.partition(":")[0]
         try:
-            with torch.inference_mode(), mixed:
+            with torch.inference_mode(), torch.autocast(kind, dtype=mixed, enabled=mixed is not None):
                 made = self.function(numbers)
         except Exception as error:
             advice = "; take smaller tiles (--tile)" if isinstance(error, torch.OutOfMemoryError) else ""
@@ -194,10 +191,9 @@ def load_network(
     if is_code:
         module = _from_python(model, weights)
         identity = {"denoiser": model}
-        if isinstance(module, torch.nn.Module):
-            identity["weights_sha256"] = _digest_of(module)
         run = _TorchRun(_ready(module, where), where, precision)
         if isinstance(module, torch.nn.Module):
+            identity["weights_sha256"] = _digest_of(module)
             taken = TakenInput(_stated(module, "window"), _stated(module, "multiple"))
     else:
         if weights is not None:

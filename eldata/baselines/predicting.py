@@ -278,13 +278,12 @@ def write_predictions(
 
 def _remarks(settings: dict[str, Any], cameras: Sequence[str]) -> tuple[str, ...]:
     """Return what the folder's settings mean for its reader."""
-    remarks = []
-    if settings.get(ANOTHER):
-        known = ", ".join(settings["noise"])
-        without = [camera for camera in cameras if camera not in settings["noise"]]
-        if without:
-            remarks.append(f"the noise of {known} was taken for frames of {', '.join(without)}, another camera")
-    return (*remarks, *remarks_on(settings.get(ANSWERS, {})))
+    remarks = remarks_on(settings.get(ANSWERS, {}))
+    without = [camera for camera in cameras if camera not in settings["noise"]] if settings.get(ANOTHER) else []
+    if not without:
+        return remarks
+    known = ", ".join(settings["noise"])
+    return (f"the noise of {known} was taken for frames of {', '.join(without)}, another camera", *remarks)
 
 
 def _units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]:

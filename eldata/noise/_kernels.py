@@ -326,12 +326,8 @@ def _add_noise_rows(
         for row in range(first_row, last_row, together):
             count = min(together, last_row - row)
             begin, size = row * columns + start, count * width
-            high, low, rest_number, dither = (
-                integers[0, :size],
-                integers[1, :size],
-                integers[2, :size],
-                integers[3, :size],
-            )
+            high, low = integers[0, :size], integers[1, :size]
+            rest_number, dither = integers[2, :size], integers[3, :size]
             digits, coarse, fine = integers[4, :size], integers[5, :size], integers[6, :size]
             mean, value, rest = floats[0, :size], floats[1, :size], floats[2, :size]
             offset, noise, tail = floats[3, :size], floats[4, :size], floats[5, :size]

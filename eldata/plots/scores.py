@@ -40,14 +40,8 @@ def draw_points(axes: Axes, points: Sequence[tuple[float | None, float, float]],
     """Draw points (factor, x, y), those of each factor alike, with a legend of the factors."""
     ratios = sorted({ratio for ratio, _, _ in points}, key=lambda ratio: ratio or 0.0)
     for index, ratio in enumerate(ratios):
-        members = [(x, y) for of, x, y in points if of == ratio]
-        axes.plot(
-            [x for x, _ in members],
-            [y for _, y in members],
-            linestyle="none",
-            alpha=alpha,
-            **look_of_factor(index, ratio, theme),
-        )
+        xs, ys = zip(*((x, y) for factor, x, y in points if factor == ratio), strict=True)
+        axes.plot(xs, ys, linestyle="none", alpha=alpha, **look_of_factor(index, ratio, theme))
     legend_of_factors(axes, ratios)
 
 

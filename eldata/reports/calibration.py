@@ -12,7 +12,7 @@ from eldata.base.numbers import counted
 from eldata.reports import calibration_iso as drawn
 from eldata.reports.calibration_iso import estimated
 from eldata.reports.calibration_joint import joint_plots
-from eldata.reports.html import digits, grouped, measured, rendered, typeset
+from eldata.reports.html import digits, grouped, listed, measured, rendered, typeset
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -105,7 +105,7 @@ def _wary(calibration: Calibration) -> str:
     elif len(places) > 3:
         places = [f"{len(places)} of {len(calibration.all_isos)} ISOs"]
     places += ["the calibration as a whole"] if calibration.remarks else []
-    return f"{counted(len(calibration.all_remarks), 'remark')}, on {_and(places)}."
+    return f"{counted(len(calibration.all_remarks), 'remark')}, on {listed(places)}."
 
 
 def _by_iso(items: Iterable[tuple[Any, IsoGain]]) -> dict[Any, str]:
@@ -113,7 +113,7 @@ def _by_iso(items: Iterable[tuple[Any, IsoGain]]) -> dict[Any, str]:
     isos: dict[Any, list[str]] = {}
     for item, one in items:
         isos.setdefault(item, []).append(f"{one.iso:g}")
-    return {item: f"ISO {_and(names)}" for item, names in isos.items()}
+    return {item: f"ISO {listed(names)}" for item, names in isos.items()}
 
 
 def _symbols(effect: Effect, isos: Sequence[IsoGain]) -> str:
@@ -135,14 +135,10 @@ def _remarks_on(one: IsoGain) -> list[tuple[str, Effect]]:
     return [*of_findings, *((remark, "remark") for remark in one.remarks)]
 
 
-def _and(items: Sequence[str]) -> str:
-    return " and ".join([", ".join(items[:-1]), items[-1]]) if len(items) > 1 else items[0]
-
-
 def _made_from(calibration: Calibration) -> str:
     isos = calibration.all_isos
     sizes = sorted({(one.sensor.width, one.sensor.height) for one in isos})
-    shapes = _and([f"{width} × {height}" for width, height in sizes])
+    shapes = listed([f"{width} × {height}" for width, height in sizes])
     bias, flat = sum(one.bias_frames for one in calibration.isos), sum(one.flat_frames for one in isos)
     kept = sum(one.reproduction is not None for one in calibration.isos)
     frames = f"{bias} bias and {flat} flat frames of {shapes} pixels"
@@ -237,7 +233,7 @@ def _colour_bias(one: IsoCalibration) -> dict[str, Any]:
     bias, blacks = one.colour_bias, sorted(set(one.sensor.black_level_dn))
     numbers = [
         *([] if bias is None else _by_channel("{}", one, map(estimated, bias))),
-        ("Recorded black", f"{_and([f'{level:g}' for level in blacks])} DN"),
+        ("Recorded black", f"{listed([f'{level:g}' for level in blacks])} DN"),
         ("Bias frames", str(one.bias.frames)),
     ]
     return _group(

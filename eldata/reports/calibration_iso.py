@@ -68,8 +68,7 @@ def transfer_plot(one: IsoGain, transfer: PhotonTransfer) -> Plot:
     worst = max((line.chi2_per_dof for line in transfer.channels if math.isfinite(line.chi2_per_dof)), default=math.nan)
     alt = (
         f"Variance against signal of the flats at ISO {one.iso:g}, by channel, with the fitted lines: K is "
-        f"{estimated(one.gain)}, chi² per degree of freedom at most "
-        f"{digits(worst, 2)}."
+        f"{estimated(one.gain)}, chi² per degree of freedom at most {digits(worst, 2)}."
     )
     if spatial is not None and spatial_gain is not None:
         alt += f" The published single-frame method gives {digits(spatial_gain.value, 4)} DN/e⁻."

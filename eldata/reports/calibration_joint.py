@@ -65,11 +65,8 @@ def _scale_plot(panel: ScalePanel, more: str) -> Plot:
     def draw(axes: Axes, theme: Theme) -> None:
         scale_over_gain(axes, name, panel.spans, points, theme)
 
-    words: dict[str, object] = {"name": name}
-    caption = "caption" if lines else "without_line"
-    return draw_plot(
-        "calibration", "scale", alt, draw, name=f"sigma-{name.lower()}", caption=caption, more=more, words=words
-    )
+    options: dict[str, Any] = {"name": f"sigma-{name.lower()}", "words": {"name": name}, "more": more}
+    return draw_plot("calibration", "scale", alt, draw, caption="caption" if lines else "without_line", **options)
 
 
 def _plot_by_iso(

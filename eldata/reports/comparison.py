@@ -23,7 +23,7 @@ from eldata.evaluation.scores import natural
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, mean_gains, short
 from eldata.reports.evaluation import FACTS, Cell, Table, fact_cells, field_text, number_cell
-from eldata.reports.html import digits, draw_plot, rendered_with_script, signed
+from eldata.reports.html import digits, draw_plot, listed, rendered_with_script, signed
 from eldata.reports.pictures import draw_images
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def comparison_page(comparison: Comparison, drawn: Sequence[DrawnImage] = ()) ->
         "compare.js",
         picture_policy=" 'self' file:" if drawn else "",
         kind=comparison.kind,
-        title=f"{' and '.join(_joined(others))} against {first}",
+        title=f"{listed(others)} against {first}",
         summary=f"{summary_of(comparison)}.",
         warnings=comparison.warnings,
         note=statistics_note(comparison),
@@ -99,10 +99,6 @@ def comparison_page(comparison: Comparison, drawn: Sequence[DrawnImage] = ()) ->
             for index, (name, result) in enumerate(comparison.results.items(), start=1)
         ],
     )
-
-
-def _joined(names: Sequence[str]) -> list[str]:
-    return list(names) if len(names) < 3 else [", ".join(names[:-1]), names[-1]]
 
 
 def _fields(result: EvaluationResult) -> list[tuple[str, str]]:

@@ -120,7 +120,10 @@ def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
             for rank in dict.fromkeys(rank for rank, _, _ in shown)
         },
         rows=_rows(result, ids),
-        protocol_fields=[(name, _protocol_text(name, value)) for name, value in result.protocol.as_dict().items()],
+        protocol_fields=[
+            (name, in_words(name, value) if name in FIELDS else field_text(value))
+            for name, value in result.protocol.as_dict().items()
+        ],
         provenance_fields=[(name, field_text(value)) for name, value in result.provenance.items()],
     )
 
@@ -175,11 +178,6 @@ def field_text(value: Any) -> str:
     if isinstance(value, list) and all(isinstance(item, (str, int, float)) for item in value):
         return ", ".join(str(item) for item in value)
     return "none" if value is None else json.dumps(value, ensure_ascii=False)
-
-
-def _protocol_text(name: str, value: Any) -> str:
-    """Return a field of a protocol in words, where there are any."""
-    return in_words(name, value) if name in FIELDS else field_text(value)
 
 
 # --- tables -------------------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from eldata.base.visible import visible
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -125,6 +125,11 @@ def measured(value: float, error: float, unit: str = "") -> str:
 def grouped(count: int) -> str:
     """Return a count with its digits in threes."""
     return f"{count:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+
+
+def listed(items: Sequence[str]) -> str:
+    """Return items in a sentence: with commas, and "and" before the last."""
+    return " and ".join([", ".join(items[:-1]), items[-1]]) if len(items) > 1 else items[0]
 
 
 # --- plots --------------------------------------------------------------------------------------------------------

@@ -102,10 +102,8 @@ def show_images(ranked: Iterable[tuple[str, UnitScore, ScoredImage]]) -> tuple[t
     images: list[DrawnImage] = []
     for quality in _QUALITIES:
         images = [_draw_centre(seen, limit, quality) for _, _, seen in decoded]
-        if (
-            sum(len(jpeg) for image in images for jpeg in (*image.layers.values(), *image.whole.values()))
-            <= _MOST_BYTES
-        ):
+        jpegs = (jpeg for image in images for jpeg in (*image.layers.values(), *image.whole.values()))
+        if sum(map(len, jpegs)) <= _MOST_BYTES:
             break
     return tuple((rank, score, image) for (rank, score, _), image in zip(decoded, images, strict=True))
 

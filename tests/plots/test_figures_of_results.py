@@ -181,12 +181,10 @@ def test_hostile_names_stay_text() -> None:
 
 
 def test_many_rows_are_counted() -> None:
-    scored = result(scenes=2)
     profile = CameraProfile.load("SonyA7S2")
     many = replace(profile, rows=profile.rows * 5)
     assert_shows_in_a_notebook(many, f"… and {len(many.rows) - 60} more")
     assert "more" not in profile._repr_html_().split("</table>")[0]
-    assert len(scored._repr_html_()) < 20_000
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)

@@ -180,12 +180,6 @@ def test_nothing_scored() -> None:
     assert not re.search(r"\bnan\b", text)
 
 
-def test_without_rescaling_there_is_no_plot_of_it() -> None:
-    text = checked(evaluation_page(result(protocol="eld-uncorrected"), ())).text
-    assert "there is no factor to show" in text
-    assert "Rescaling that was found" not in text
-
-
 def test_the_same_page_each_time(
     evaluated: EvaluationResult, tree: Tree, predictions: Path, page: str, tmp_path: Path
 ) -> None:
@@ -200,6 +194,9 @@ def test_wrong_exposure_shows() -> None:
     assert "from 4 to 4" in plots["rescaling"].alt
     assert plots["rescaling"].light != plots["rescaling"].dark
     assert score_plots(replace(one, scores=())) == ()
+    text = checked(evaluation_page(result(protocol="eld-uncorrected"), ())).text
+    assert "there is no factor to show" in text
+    assert "Rescaling that was found" not in text
 
 
 def test_names_that_the_font_lacks_are_boxes() -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from eldata.base.fields import named_object
 from eldata.base.files import sha256_of
 from eldata.baselines.exported import TakenInput, checked_window, first_line, load_exported
-from eldata.baselines.prediction_folder import ANSWERS, answer_of
+from eldata.baselines.prediction_folder import ANSWERS, probe_network
 from eldata.baselines.tiling import tiled
 from eldata.errors import ArgumentError, EldataError, FileError
 
@@ -75,7 +75,9 @@ class NetworkDenoiser:
         if self.is_code:
             frames, side = (self.window,) if self.window > 1 else (), self.multiple * -(-_SIDE // self.multiple)
             shapes = {count: (*frames, count, side, side) for count in channels}
-            known[ANSWERS] = {str(count): answer_of(self.run, shape, self.precision) for count, shape in shapes.items()}
+            known[ANSWERS] = {
+                str(count): probe_network(self.run, shape, self.precision) for count, shape in shapes.items()
+            }
         options = {name: getattr(self, name) for name in ("tile", "overlap", "multiple", "precision", "window")}
         return {**self.identity, **options, **known}
 
@@ -112,8 +114,8 @@ class _TorchRun:
                 made = self.function(numbers)
         except Exception as error:
             advice = "; take smaller tiles (--tile)" if isinstance(error, torch.OutOfMemoryError) else ""
-            raise EldataError(_failed(image, error) + advice) from error
-        return _only(made.float().cpu().numpy() if isinstance(made, torch.Tensor) else made, image)
+            raise EldataError(_describe_failure(image, error) + advice) from error
+        return _take_image(made.float().cpu().numpy() if isinstance(made, torch.Tensor) else made, image)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,11 +126,11 @@ class _OnnxRun:
         try:
             made = self.session.run(None, {self.session.get_inputs()[0].name: image[None]})[0]
         except Exception as error:  # ONNX Runtime's own classes, without a common base
-            raise EldataError(_failed(image, error)) from error
-        return _only(made, image)
+            raise EldataError(_describe_failure(image, error)) from error
+        return _take_image(made, image)
 
 
-def _only(made: Any, image: NDArray[np.float32]) -> Values:
+def _take_image(made: Any, image: NDArray[np.float32]) -> Values:
     """Take the one image that a network was to make of one."""
     if not isinstance(made, np.ndarray) or made.ndim != 4 or len(made) != 1:
         found = getattr(made, "shape", type(made).__name__)
@@ -189,12 +191,12 @@ def load_network(
     run: Callable[[NDArray[np.float32]], Values]
     taken, is_code = TakenInput(), ":" in model and not Path(model).exists()
     if is_code:
-        module = _from_python(model, weights)
+        module = _import_network(model, weights)
         identity = {"denoiser": model}
-        run = _TorchRun(_ready(module, where), where, precision)
+        run = _TorchRun(_prepare(module, where), where, precision)
         if isinstance(module, torch.nn.Module):
             identity["weights_sha256"] = _digest_of(module)
-            taken = TakenInput(_stated(module, "window"), _stated(module, "multiple"))
+            taken = TakenInput(_read_attribute(module, "window"), _read_attribute(module, "multiple"))
     else:
         if weights is not None:
             raise ArgumentError(f"--weights goes with package.module:name; {model} holds its own")
@@ -208,11 +210,11 @@ def load_network(
             identity |= {file.name: sha256_of(file) for file in beside}
             if precision != "float32":
                 raise ArgumentError(f"--precision is torch's; {model} computes in the types that it was exported with")
-            run = _OnnxRun(_onnx(path, where))
+            run = _OnnxRun(_open_onnx(path, where))
         else:
-            module, taken = load_exported(path) if path.suffix == ".pt2" else (_scripted(path), taken)
-            run = _TorchRun(_ready(module, where), where, precision)
-    frames, sides = _agreed(model, taken, window, multiple)
+            module, taken = load_exported(path) if path.suffix == ".pt2" else (_load_script(path), taken)
+            run = _TorchRun(_prepare(module, where), where, precision)
+    frames, sides = _choose_sizes(model, taken, window, multiple)
     return NetworkDenoiser(run, identity, tile, overlap, sides, precision, frames, taken.clip, is_code)
 
 
@@ -228,13 +230,13 @@ def _digest_of(module: Any) -> str:
     return f"sha256:{digest.hexdigest()}"
 
 
-def _stated(module: Any, name: str) -> int | None:
+def _read_attribute(module: Any, name: str) -> int | None:
     """Return what a module's attribute says of its input, if it has one."""
     found = getattr(module, name, None)
     return found if isinstance(found, int) and not isinstance(found, bool) and found > 0 else None
 
 
-def _agreed(model: str, taken: TakenInput, window: int | None, multiple: int | None) -> tuple[int, int]:
+def _choose_sizes(model: str, taken: TakenInput, window: int | None, multiple: int | None) -> tuple[int, int]:
     """Settle the window and the multiple; wanted ones must not contradict the network's."""
     if taken.window is not None and window not in (None, taken.window):
         what, option = f"windows of {taken.window} frames", f"--window {window}"
@@ -245,7 +247,7 @@ def _agreed(model: str, taken: TakenInput, window: int | None, multiple: int | N
     raise ArgumentError(f"{model} takes {what}, by its own account; found {option}: leave it out")
 
 
-def _ready(function: Any, device: str) -> Callable[..., Any]:
+def _prepare(function: Any, device: str) -> Callable[..., Any]:
     import torch
 
     if isinstance(function, torch.nn.Module):
@@ -256,7 +258,7 @@ def _ready(function: Any, device: str) -> Callable[..., Any]:
     return function  # type: ignore[no-any-return] # callable: checked by who loaded it
 
 
-def _scripted(path: Path) -> Any:
+def _load_script(path: Path) -> Any:
     import torch
 
     with warnings.catch_warnings():
@@ -271,7 +273,7 @@ def _scripted(path: Path) -> Any:
             ) from error
 
 
-def _onnx(path: Path, device: str) -> Any:
+def _open_onnx(path: Path, device: str) -> Any:
     try:
         import onnxruntime
     except ImportError as error:
@@ -291,7 +293,7 @@ def _onnx(path: Path, device: str) -> Any:
     return session
 
 
-def _from_python(place: str, weights: Path | str | None) -> Any:
+def _import_network(place: str, weights: Path | str | None) -> Any:
     import torch
 
     found = named_object(place)
@@ -351,7 +353,7 @@ def _load_weights(module: Any, path: Path) -> None:
         raise FileError(path, f"its weights are not those of {type(module).__name__}: {first_line(error)}") from error
 
 
-def _failed(image: NDArray[np.float32], error: Exception) -> str:
+def _describe_failure(image: NDArray[np.float32], error: Exception) -> str:
     # TorchScript says what happened in the last line of a traceback of its own.
     is_trace = "TorchScript interpreter" in first_line(error)
     reason = str(error).strip().splitlines()[-1] if is_trace else first_line(error)

@@ -16,7 +16,7 @@ from eldata.base.numbers import counted
 from eldata.base.workers import Failed, require_files
 from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_patches
 from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames, estimate_line, line_of_profile
-from eldata.baselines.prediction_folder import ANSWERS, begun, remarks_on
+from eldata.baselines.prediction_folder import ANSWERS, begin_folder, describe_answers
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.evaluation.layouts import stem_of
 from eldata.evaluation.predictions import save_prediction
@@ -254,13 +254,13 @@ def write_predictions(
         "dark_shading": chosen.dark_shading,
         **({name: in_words(name, getattr(chosen, name)) for name in _OF_SRGB} if chosen.pixels == "srgb" else {}),
     }
-    with begun(folder, settings):
-        every = [_file_of(folder, pair, path) for pair in pairs for path in pair.frames]
+    with begin_folder(folder, settings):
+        every = [_prediction_file(folder, pair, path) for pair in pairs for path in pair.frames]
         for place in sorted({file.parent for file in every}):
             if place.is_dir():
                 remove_leftovers(place)
-        units = _units(request, pairs, folder)
-        missing = [_file_of(folder, unit.pair, path) for unit in units for path in unit.missing]
+        units = _plan_units(request, pairs, folder)
+        missing = [_prediction_file(folder, unit.pair, path) for unit in units for path in unit.missing]
         work = _Prediction(denoiser, request.files, folder, chosen, wanted_clip, dtype, request.dark_shading)
         what = "frame" if request.kind is IMAGES else "clip"
         outcomes = request.workers.attempt(work, units, label="denoising", unit=what)
@@ -273,12 +273,12 @@ def write_predictions(
         f"{paths[0]}: {reason}" if len(paths) == 1 else f"{len(paths)} {what}s, such as {paths[0]}: {reason}"
         for reason, paths in failed.items()
     )
-    return PredictionReport(folder, written, len(every) - len(missing), problems, _remarks(stated, cameras))
+    return PredictionReport(folder, written, len(every) - len(missing), problems, _collect_remarks(stated, cameras))
 
 
-def _remarks(settings: dict[str, Any], cameras: Sequence[str]) -> tuple[str, ...]:
+def _collect_remarks(settings: dict[str, Any], cameras: Sequence[str]) -> tuple[str, ...]:
     """Return what the folder's settings mean for its reader."""
-    remarks = remarks_on(settings.get(ANSWERS, {}))
+    remarks = describe_answers(settings.get(ANSWERS, {}))
     without = [camera for camera in cameras if camera not in settings["noise"]] if settings.get(ANOTHER) else []
     if not without:
         return remarks
@@ -286,7 +286,7 @@ def _remarks(settings: dict[str, Any], cameras: Sequence[str]) -> tuple[str, ...
     return (f"the noise of {known} was taken for frames of {', '.join(without)}, another camera", *remarks)
 
 
-def _units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]:
+def _plan_units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]:
     """Return the pairs and windows of which predictions are missing, with the clips that they are of."""
     clips: dict[str, Clip] = {}
     if request.kind is not IMAGES:
@@ -296,13 +296,13 @@ def _units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]
         clips = {clip.scene: clip for clip in clips_of(rows)}
     units = []
     for pair in pairs:
-        missing = tuple(path for path in pair.frames if not _file_of(folder, pair, path).exists())
+        missing = tuple(path for path in pair.frames if not _prediction_file(folder, pair, path).exists())
         if missing:
             units.append(_Unit(pair, missing, clips.get(pair.scene)))
     return units
 
 
-def _file_of(folder: Path, pair: Pair, path: str) -> Path:
+def _prediction_file(folder: Path, pair: Pair, path: str) -> Path:
     return folder / f"{stem_of(pair.place(path))}.npy"
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def begun(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
+def begin_folder(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
     """Make the folder, or check that it is the same work's, and hold it as long as the block runs.
 
     Several processes may do the same work in it, such as one for each camera: they share the lock of its settings'
@@ -37,7 +37,7 @@ def begun(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
     """
     file = folder / SETTINGS
     folder.mkdir(parents=True, exist_ok=True)
-    with _alone_in(folder):
+    with _lock_folder(folder):
         remove_leftovers(folder)  # of work that was killed, perhaps before it had said what it is
         if not file.exists():
             if visible_below(folder, deep=False):
@@ -45,7 +45,7 @@ def begun(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
                     f"{folder}: holds files, and none is {SETTINGS}, so they are of another origin; give a new folder"
                 )
             write_json(file, settings)
-        elif _is_other(file, settings):
+        elif _is_other_work(file, settings):
             # Without a prediction nothing is lost if the work starts over, as with a network that is corrected.
             write_json(file, settings)
         held = file.open("rb")
@@ -54,7 +54,7 @@ def begun(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
         yield
 
 
-def _is_other(file: Path, settings: dict[str, Any]) -> bool:
+def _is_other_work(file: Path, settings: dict[str, Any]) -> bool:
     """Return whether the folder was begun by other work that nobody does; raise if it has come to something."""
     stated = dict(TextFile(file, EldataError, "remove the folder to start again").json().data)
     given = settings.get(ANSWERS)
@@ -73,7 +73,7 @@ def _is_other(file: Path, settings: dict[str, Any]) -> bool:
 
 
 @contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
+def _lock_folder(folder: Path) -> Iterator[None]:
     """Wait until no other process decides here; at once where folders cannot be locked."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
@@ -97,7 +97,7 @@ _TOLERANCE = {"bfloat16": 1e-2, "float16": 1e-2}  # of the largest number; float
 _TOLERANCE_FLOAT32 = 1e-4
 
 
-def answer_of(
+def probe_network(
     run: Callable[[NDArray[np.float32]], NDArray[Any]], shape: tuple[int, ...], precision: str
 ) -> list[float] | str:
     """Return what a network gives for a fixed input: sums over all of it, each with weights of its own.
@@ -129,7 +129,7 @@ def is_alike(found: Any, expected: Any, precision: str | None) -> bool:
     return bool(found == expected != _EACH_TIME)
 
 
-def remarks_on(answers: dict[str, list[float] | str]) -> tuple[str, ...]:
+def describe_answers(answers: dict[str, list[float] | str]) -> tuple[str, ...]:
     """Return what people should know of a network's answers."""
     found = set(map(str, answers.values()))
     if _EACH_TIME in found:

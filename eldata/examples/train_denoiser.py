@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
         return {"items/s": report.items_per_s} | (validate(network, options, device) if is_due else {})
 
     train(options, device, data, network, absolute_error, {"depth": options.depth}, shown)
-    return keep_and_show(options, network, channels, scored_set(options))
+    return save_and_show(options, network, channels, choose_set(options))
 
 
 def train(
@@ -103,7 +103,7 @@ def train(
     )
     is_first = not distributed.is_initialized() or distributed.get_rank() == 0
     if is_first:
-        curve = curves_in(options.output)
+        curve = open_curves(options.output)
         print(data, describe(loader), f"{sum(map(torch.numel, network.parameters())):,} parameters", sep="\n")
     try:
         for report in training.epochs(options.output / "checkpoint.pt", save_every=SAVE_EVERY):
@@ -118,10 +118,10 @@ def train(
             options.interrupted = f"{there} in {{output}}/checkpoint.pt, and the same command goes on from there"
 
 
-def keep_and_show(options: argparse.Namespace, network: torch.nn.Module, channels: int, chosen: Sequence[str]) -> int:
+def save_and_show(options: argparse.Namespace, network: torch.nn.Module, channels: int, chosen: Sequence[str]) -> int:
     """Keep a trained network, and show the commands that predict with it and score that on the ``chosen`` set."""
     if not distributed.is_initialized() or distributed.get_rank() == 0:
-        keep(network, options.output, channels, options.input_clip)
+        save_trained(network, options.output, channels, options.input_clip)
         show_next(options.output, *chosen)
     if distributed.is_initialized():
         distributed.destroy_process_group()
@@ -169,7 +169,12 @@ def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Datas
     if not options.camera:
         raise ArgumentError("--clean needs a camera's noise: --camera")
     source = CleanFrames(options.clean if len(options.clean) > 1 else options.clean[0], levels=options.levels)
-    noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio), "clip": options.input_clip}
+    noise = {
+        "model": make_noise(options),
+        "iso": options.iso,
+        "ratio": tuple(options.ratio),
+        "clip": options.input_clip,
+    }
     noise["range_dn"] = options.range_dn
     if not options.noise2noise:
         return SyntheticPairs(source, options.camera, **crops, **noise)
@@ -178,7 +183,7 @@ def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Datas
     return Sides(stills, are_exposures=True)
 
 
-def noise_of(options: argparse.Namespace) -> Any:
+def make_noise(options: argparse.Namespace) -> Any:
     """Return the noise model of a spec, or a callable `package.module:name` of your own (docs/noise.md)."""
     if ":" in options.noise:
         return named_object(options.noise)
@@ -254,7 +259,7 @@ def validate(network: UNet, options: argparse.Namespace, device: torch.device) -
     return {name: math.fsum(of_all) / len(scores) for name, of_all in values.items()}
 
 
-def keep(network: Any, folder: Path, channels: int, clip: Clip) -> None:
+def save_trained(network: Any, folder: Path, channels: int, clip: Clip) -> None:
     """Write a trained network for `eldata predict`, and its weights."""
     traits = {"multiple": network.multiple, "window": network.window}
     save_network(network, folder / "model.pt2", channels=channels, clip=clip, **traits)
@@ -262,7 +267,7 @@ def keep(network: Any, folder: Path, channels: int, clip: Clip) -> None:
         torch.save(network.state_dict(), file)
 
 
-def scored_set(options: argparse.Namespace) -> list[str]:
+def choose_set(options: argparse.Namespace) -> list[str]:
     """Return the options by which eldata names the set to score on: that of the validation, else ELD."""
     name = options.validate or "eld"
     chosen = ["--manifest" if Path(name).suffix == ".csv" else "--dataset", name]
@@ -280,7 +285,7 @@ def show_next(folder: Path, *chosen: str) -> None:
     print("$", shlex.join(["eldata", "evaluate", made, *chosen]))
 
 
-def curves_in(folder: Path) -> Callable[[str, float, int], object]:
+def open_curves(folder: Path) -> Callable[[str, float, int], object]:
     """Return what takes a curve's name, value and step: TensorBoard's writer, if it is installed."""
     try:
         from torch.utils.tensorboard import SummaryWriter

@@ -425,11 +425,11 @@ def dark_shading_in(path: Path) -> DarkShading:
         status = path.stat()
     except OSError as error:
         raise ShadingError(path, f"cannot be read: {error.strerror or error}") from error
-    return _loaded(path, status.st_mtime_ns, status.st_size)
+    return _load_cached(path, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=1)
-def _loaded(path: Path, *_: int) -> DarkShading:
+def _load_cached(path: Path, *_: int) -> DarkShading:
     return DarkShading.load(path)
 
 

@@ -79,7 +79,7 @@ class TransferLine(Protocol):
         """Return signal, variance and its standard error of at most so many points."""
 
 
-def styled(theme: Theme, **more: Any) -> AbstractContextManager[None]:
+def use_style(theme: Theme, **more: Any) -> AbstractContextManager[None]:
     """Return the context in which figures of a theme are made, with more of matplotlib's settings."""
     inked = ("axes.edgecolor", "axes.labelcolor", "legend.labelcolor", "text.color", "xtick.color", "ytick.color")
     style = {"grid.color": theme.grid} | dict.fromkeys(inked, theme.ink) | more
@@ -169,15 +169,15 @@ def legend_above(axes: Axes, *, middle: float = 0.45, most: int = 4, handle: flo
         axes.set_title(axes.get_title(), pad=8 + _LEGEND_ROW * rows)
 
 
-def evenly(size: int, most: int) -> NDArray[np.int64]:
+def spread_evenly(size: int, most: int) -> NDArray[np.int64]:
     """Return which of ``size`` values to draw: ``most`` of them at most, evenly spread."""
     return np.linspace(0, size - 1, min(size, most)).round().astype(np.int64)
 
 
-def thinned(size: int) -> NDArray[np.int64]:
+def thin_out(size: int) -> NDArray[np.int64]:
     """Return which of many ordered values to draw: a few hundred evenly, and the tails in full."""
     tail = np.arange(min(size, _TAIL_SHOWN))
-    return np.unique(np.concatenate([evenly(size, _POINTS_SHOWN), tail, size - 1 - tail]))
+    return np.unique(np.concatenate([spread_evenly(size, _POINTS_SHOWN), tail, size - 1 - tail]))
 
 
 # --- calibrated figures -------------------------------------------------------------------------------------------
@@ -294,7 +294,7 @@ def drawn_grid(title: str, draws: Sequence[tuple[str, Callable[[Axes, Theme], ob
     columns = min(len(draws), 3 if len(draws) != 4 else 2)
     rows = -(-len(draws) // columns)
     width, height = SIZE_INCHES
-    with styled(LIGHT, **{"figure.facecolor": "white"}):
+    with use_style(LIGHT, **{"figure.facecolor": "white"}):
         made = Drawing(figsize=(width * columns, height * rows), layout="constrained")
         if title:
             made.suptitle(drawable(title), parse_math=False)

@@ -23,7 +23,7 @@ from eldata.evaluation.scores import natural
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, mean_gains, short
 from eldata.reports.evaluation import FACTS, Cell, Table, fact_cells, field_text, number_cell
-from eldata.reports.html import digits, draw_plot, listed, rendered_with_script, signed
+from eldata.reports.html import digits, draw_plot, join_words, render_with_script, signed
 from eldata.reports.pictures import draw_images
 
 if TYPE_CHECKING:
@@ -77,12 +77,12 @@ def write_comparison_page(
 def comparison_page(comparison: Comparison, drawn: Sequence[DrawnImage] = ()) -> str:
     """Return the page; the same comparison gives the same text."""
     first, *others = comparison.names
-    return rendered_with_script(
+    return render_with_script(
         "compare.html",
         "compare.js",
         picture_policy=" 'self' file:" if drawn else "",
         kind=comparison.kind,
-        title=f"{listed(others)} against {first}",
+        title=f"{join_words(others)} against {first}",
         summary=f"{summary_of(comparison)}.",
         warnings=comparison.warnings,
         note=statistics_note(comparison),

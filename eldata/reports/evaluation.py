@@ -27,7 +27,7 @@ from eldata.plots.axes import number
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, strips
 from eldata.protocols.words import FIELDS, in_words
-from eldata.reports.html import digits, draw_plot, rendered_with_script, signed
+from eldata.reports.html import digits, draw_plot, render_with_script, signed
 from eldata.reports.pictures import show_images
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
     sections += [("distributions", "Distributions")] if plots else []
     sections += [("pictures", "Worst and best")] if shown else []
     sections += [("images", f"Every {kind.unit}")] if result.scores else []
-    return rendered_with_script(
+    return render_with_script(
         "evaluation.html",
         kind=kind,
         result=result,

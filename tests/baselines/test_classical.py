@@ -16,12 +16,12 @@ from scipy.stats import t as student
 from eldata.baselines.classical import (
     BASELINES,
     SignalNoise,
-    dct_thresholded,
+    apply_anscombe,
+    invert_anscombe,
     noise_of_image,
     noise_of_parameters,
     noise_of_patches,
-    stabilised,
-    unstabilised,
+    threshold_dct,
 )
 from eldata.baselines.noise_line import noise_line
 from eldata.demo.camera import CAMERAS
@@ -126,8 +126,8 @@ def test_mean_brightness_is_kept_in_the_dark() -> None:
     signal = np.full((4, 96, 96), 0.015)
     generator = np.random.default_rng(0)
     noisy = 0.01 * generator.poisson(signal / 0.01) + 0.005 * generator.standard_normal(signal.shape)
-    mean = stabilised(noisy, line).mean(keepdims=True)
-    assert unstabilised(mean, line).item() == pytest.approx(0.015, rel=0.025)
+    mean = apply_anscombe(noisy, line).mean(keepdims=True)
+    assert invert_anscombe(mean, line).item() == pytest.approx(0.015, rel=0.025)
     assert 0.01 * (mean.item() ** 2 / 4 - 3 / 8 - 0.25) < 0.9 * 0.015  # so the bound above can fail
 
 
@@ -214,11 +214,11 @@ def test_the_mean_of_stabilised_values_leads_back(gain: float, sigma: float, cou
     generator = np.random.default_rng(17)
     line = SignalNoise(slope=gain, offset=(gain * sigma) ** 2)
     values = gain * (generator.poisson(counts, DRAWS) + sigma * generator.standard_normal(DRAWS))
-    seen = stabilised(values, line)
+    seen = apply_anscombe(values, line)
     if counts > 10 or sigma > 10:
         assert seen.std() == pytest.approx(1.0, abs=0.01)
     error = float(seen.std() / np.sqrt(DRAWS) * seen.mean() / 2)
-    back = float(unstabilised(np.array([seen.mean()]), line)[0]) / gain
+    back = float(invert_anscombe(np.array([seen.mean()]), line)[0]) / gain
     assert abs(back - counts) < 4.5 * error + 2e-3
 
 
@@ -229,7 +229,7 @@ def test_the_mean_of_stabilised_values_leads_back(gain: float, sigma: float, cou
 @pytest.mark.parametrize("size", [(32, 48), (33, 47), (16, 16)])
 def test_constant_images_stay_as_they_are(values: tuple[float, ...], size: tuple[int, int]) -> None:
     image = np.broadcast_to(np.array(values, np.float32)[:, None, None], (4, *size))
-    assert np.abs(dct_thresholded(image, SignalNoise(0.01, 1e-3)) - image).max() < 1e-5
+    assert np.abs(threshold_dct(image, SignalNoise(0.01, 1e-3)) - image).max() < 1e-5
 
 
 # --- the line of a photograph ---------------------------------------------------------------------------------------

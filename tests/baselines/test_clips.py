@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from eldata.baselines import NetworkDenoiser, UNet, clip_error, load_network, save_network
 from eldata.baselines.noisy_frames import mirrored_window
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
-from eldata.baselines.prediction_folder import begun
+from eldata.baselines.prediction_folder import begin_folder
 from eldata.baselines.tiling import tiled
 from eldata.baselines.training import consistent_error
 from eldata.cli.main import main
@@ -303,18 +303,18 @@ def test_the_same_work_may_be_done_by_several(tmp_path: Path) -> None:
     """And none of them leaves the folder to other work as long as one is there."""
     pytest.importorskip("fcntl")
     same = {"schema": 1, "denoiser": "one"}
-    with begun(tmp_path / "p", same):
+    with begin_folder(tmp_path / "p", same):
         pass
-    second = begun(tmp_path / "p", same)
-    with begun(tmp_path / "p", same):
+    second = begin_folder(tmp_path / "p", same)
+    with begin_folder(tmp_path / "p", same):
         second.__enter__()
     with (
         pytest.raises(ArgumentError, match="started with denoiser"),
-        begun(tmp_path / "p", {**same, "denoiser": "two"}),
+        begin_folder(tmp_path / "p", {**same, "denoiser": "two"}),
     ):
         pass
     second.__exit__(None, None, None)
-    with begun(tmp_path / "p", {**same, "denoiser": "two"}):
+    with begin_folder(tmp_path / "p", {**same, "denoiser": "two"}):
         assert json.loads((tmp_path / "p" / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "two"
 
 

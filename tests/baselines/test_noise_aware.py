@@ -16,7 +16,7 @@ from safetensors.torch import load_file
 
 from eldata.base.workers import Workers
 from eldata.baselines import unet
-from eldata.baselines.classical import SignalNoise, noise_of_parameters, stabilised
+from eldata.baselines.classical import SignalNoise, apply_anscombe, noise_of_parameters
 from eldata.baselines.noisy_frames import denoise
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.baselines.unet import NoiseAwareUNet, remove_noise, stabilise, undo
@@ -47,7 +47,7 @@ def test_above_black_the_transform_is_anscombes_and_leads_back(name: str) -> Non
     line, signals = SignalNoise(slope, offset), np.linspace(-0.3, 1.5, 1000)
     known = torch.tensor([slope, offset], dtype=torch.float64)
     values, black = stabilise(torch.from_numpy(signals), *known)
-    theirs = stabilised(signals, line) - stabilised(np.zeros(1), line)
+    theirs = apply_anscombe(signals, line) - apply_anscombe(np.zeros(1), line)
     np.testing.assert_allclose(values[signals >= 0], theirs[signals >= 0], rtol=1e-6, atol=1e-4)
     assert bool((values.diff() > 0).all()), "below black nothing is cut off"
     np.testing.assert_allclose(undo(values, known[0], black), signals, rtol=1e-9, atol=1e-12)

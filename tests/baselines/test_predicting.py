@@ -18,7 +18,7 @@ import torch
 
 from eldata.baselines.classical import BASELINES
 from eldata.baselines.networks import load_network
-from eldata.baselines.noisy_frames import typical
+from eldata.baselines.noisy_frames import find_parameters
 from eldata.baselines.predicting import BaselineDenoiser, PredictionReport, write_predictions
 from eldata.cli.baseline import NAMES
 from eldata.cli.main import main
@@ -110,7 +110,7 @@ def test_a_profile_is_taken_between_its_isos() -> None:
     profile = replace(known, rows=(replace(rows[0], iso=50.0), *rows[1:]), iso_range=(50.0, 800.0))
     base = CAMERAS[0].gain_dn_per_e(100)
     for iso, gain, shape in ((50, base, 0.0), (80, base, 0.0), (125, 1.25 * base, 0.0), (320, 3.2 * base, 0.03)):
-        found = typical(profile, iso)
+        found = find_parameters(profile, iso)
         assert found.gain_dn_per_e == pytest.approx(gain, rel=1e-12)
         assert found.tukey_lambda == shape, "that of the nearest gain"
 

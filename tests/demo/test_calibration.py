@@ -13,7 +13,7 @@ import pytest
 import eldata.demo.calibration
 from eldata.cli.main import main
 from eldata.demo.body import FixedFeatures
-from eldata.demo.calibration import against_truth, run_calibration_demo
+from eldata.demo.calibration import compare_with_truth, run_calibration_demo
 from eldata.demo.calibration_frames import DEMO_FEATURES, make_calibration_frames
 from eldata.noise import CameraProfile
 from tests.cases import in_one_test
@@ -71,7 +71,7 @@ def test_what_it_prints(demo: tuple[Path, Calibration, str]) -> None:
         "42 raw files (DNG), bias and flat-field frames of DemoGamma",
         f"$ eldata calibrate {folder / 'data' / 'calibration'} --camera DemoGamma -o {folder / 'DemoGamma.json'}",
         found.format_text(),
-        against_truth(found, json.loads((folder / "truth.json").read_text())),
+        compare_with_truth(found, json.loads((folder / "truth.json").read_text())),
         str(folder / "calibration.html"),
     ):
         assert words in out
@@ -91,7 +91,7 @@ def test_the_command_that_it_names_gives_the_same(demo: tuple[Path, Calibration,
 def test_the_table_of_errors_is_found_less_true(demo: tuple[Path, Calibration, str]) -> None:
     folder, found, _ = demo
     truth = json.loads((folder / "truth.json").read_text())
-    header, _, *rows = (re.split(r"  +", line.strip()) for line in against_truth(found, truth).splitlines())
+    header, _, *rows = (re.split(r"  +", line.strip()) for line in compare_with_truth(found, truth).splitlines())
     assert header == ["ISO", "K [%]", "lambda", "sigma_TL [%]", "sigma_G [%]", "sigma_row [%]", "colour bias [DN]"]
     assert len(rows) == 3
     for row, one, true in zip(rows, found.isos, truth["isos"], strict=True):

@@ -18,7 +18,7 @@ from PIL import Image
 
 from eldata.plots.pictures import block_means, grey_png
 from eldata.reports.calibration import calibration_page
-from eldata.reports.html import digits, measured, prose, typeset
+from eldata.reports.html import digits, format_measured, prose, typeset
 from tests.calibration.in_memory import read_of
 from tests.calibration.simulation import XTRANS
 from tests.capture.checklist_browser import Browser, Page
@@ -161,7 +161,7 @@ def test_says_what_was_measured(page: str, calibration: Calibration) -> None:
     for one in calibration.isos:
         assert f"ISO {one.iso:g}" in text
         assert one.transfer is not None
-        assert measured(one.transfer.gain_dn_per_e, one.transfer.gain_error) in text
+        assert format_measured(one.transfer.gain_dn_per_e, one.transfer.gain_error) in text
     tables = calibration.tables()
     for header, rows in (tables[name] for name in ("figures", "colour-bias", "reproduction")):
         for cell in (*header, *(cell for row in rows for cell in row)):
@@ -229,7 +229,7 @@ def test_text_of_pages() -> None:
     assert typeset("single-frame, Tukey-lambda, one-") == "single-frame, Tukey-lambda, one-"
     assert prose("from -0.05 to 3-4, p = -.1 (-2), ISO-100") == "from −0.05 to 3-4, p = −.1 (−2), ISO-100"
     assert [digits(value) for value in (-0.01234, 12345.0, math.nan)] == ["−0.0123", "1.23e+04", "not known"]
-    numbers = measured(-1.234, 0.02, "DN"), measured(1.0, math.nan), measured(math.nan, 1.0)
+    numbers = format_measured(-1.234, 0.02, "DN"), format_measured(1.0, math.nan), format_measured(math.nan, 1.0)
     assert numbers == ("−1.234 ± 0.020 DN", "1", "not known")
 
 

@@ -78,6 +78,10 @@ def test_of_a_still_it_is_the_published_loss() -> None:
     assert consistent_error(first, second, clean, clean).item() == pytest.approx(expected.item(), rel=1e-12)
     moved = consistent_error(first + 1, second + 1, first, second, weight=7.0)
     assert moved.item() == pytest.approx(2.0, rel=1e-12)
+    with pytest.raises(ArgumentError, match="weight is 0 or more"):
+        consistent_error(first, second, clean, clean, weight=-1.0)
+    with pytest.raises(ArgumentError, match="clips of 4 frames or more"):
+        clip_error(torch.nn.Identity(), {"input": first[None], "target": clean[None]}, window=3)
 
 
 # --- the network ------------------------------------------------------------------------------------------------------

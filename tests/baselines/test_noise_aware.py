@@ -17,14 +17,14 @@ from safetensors.torch import load_file
 from eldata.base.workers import Workers
 from eldata.baselines import unet
 from eldata.baselines.classical import SignalNoise, apply_anscombe, noise_of_parameters
-from eldata.baselines.noisy_frames import denoise
+from eldata.baselines.noisy_frames import denoise, line_of_profile
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
-from eldata.baselines.unet import NoiseAwareUNet, remove_noise, stabilise, undo
+from eldata.baselines.unet import NoiseAwareUNet, load_weights, remove_noise, stabilise, undo
 from eldata.datasets import Arrays, SyntheticPairs
 from eldata.demo.camera import CAMERAS
 from eldata.demo.evaluation import known_profile
 from eldata.demo.scenes import scene_radiance
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import ArgumentError, DatasetError, FileError
 from eldata.noise import LED_RANGES, NoiseModel, NoiseParameters, VirtualCameras
 from eldata.noise.parameters import tukey_lambda_variance
 from eldata.raw import read_raw
@@ -148,6 +148,14 @@ def test_denoise_makes_what_the_command_makes(demo_tree: Path, tmp_path: Path) -
         denoise(replace(noisy, exposure=replace(noisy.exposure, iso=None)), profiles[0])
     with pytest.raises(ArgumentError, match="ratio"):
         denoise(noisy, profiles[0], ratio=0.0)
+    with pytest.raises(DatasetError, match="With the camera's noise given"):
+        denoise(noisy)
+    with pytest.raises(DatasetError, match="its white level is 1"):
+        line_of_profile(profiles[0], "a.dng", 800.0, ratio=1.0, range_dn=1.0)
+    with pytest.raises(DatasetError, match="takes packed Bayer frames of 4 channels; found 9"):
+        remove_noise(np.zeros((9, 32, 32), np.float32), 0.05, 1e-3, ())
+    with pytest.raises(FileError, match="is not what was shipped"):
+        load_weights(NoiseAwareUNet(widths=(4, 6), blocks=(1, 1)), WEIGHTS.name)
 
 
 @pytest.mark.parametrize(

@@ -353,7 +353,7 @@ def test_predictions_are_the_networks_own(kind: str, pristine: Tree, tmp_path: P
 INSTANCE = Doubled()
 
 
-def test_what_is_not_a_network(tmp_path: Path) -> None:
+def test_what_is_not_a_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No file is unpickled: the canary would sing."""
     pytest.importorskip("onnxruntime")
     torch.save(INSTANCE.state_dict(), tmp_path / "weights.pth")
@@ -362,27 +362,32 @@ def test_what_is_not_a_network(tmp_path: Path) -> None:
     (tmp_path / "bad.onnx").write_bytes(b"nothing")
     (tmp_path / "plain.pkl").write_bytes(pickle.dumps(Canary(tmp_path / "sung")))
     (tmp_path / "cut.safetensors").write_bytes(b"\x40" + bytes(9))
+    (tmp_path / "net.onnx").write_bytes(onnx_network())
+    (tmp_path / "bad.pt2").write_bytes(b"nothing")
     here = "tests.baselines.test_predicting"
-    for model, kind, words in (
-        (tmp_path / "no.pt", FileError, "there is no such file; give a model's file, or package.module:name"),
-        (tmp_path / "weights.pth", FileError, "is not TorchScript. If it is a checkpoint, give the code"),
-        (tmp_path / "plain.pkl", FileError, "is not TorchScript"),
-        (tmp_path / "bad.onnx", FileError, "cannot be loaded by ONNX Runtime"),
-        (f"{here}:nothing", ArgumentError, "has no attribute 'nothing'"),
-        ("no.such.place:Network", ArgumentError, "no.such.place:Network: cannot be imported"),
-    ):
-        with pytest.raises(kind, match=re.escape(words)):
-            load_network(str(model))
-    for weights, words in (
-        ("model.pth", "save model.state_dict(), not the model"),
-        ("plain.pkl", "cannot be loaded as weights alone"),
-        ("cut.safetensors", "cut.safetensors: cannot be loaded as weights alone"),
-        ("other.pth", "its weights are not those of Doubled"),
-    ):
-        with pytest.raises(FileError, match=re.escape(words)):
-            load_network(f"{here}:Doubled", weights=tmp_path / weights)
-    with pytest.raises(ArgumentError, match="float16 needs a GPU"):
-        load_network(f"{here}:Doubled", device="cpu", precision="float16")
+    cases: tuple[tuple[str, dict[str, Any], str], ...] = (
+        ("no.pt", {}, "there is no such file; give a model's file, or package.module:name"),
+        ("weights.pth", {}, "is not TorchScript. If it is a checkpoint, give the code"),
+        ("plain.pkl", {}, "is not TorchScript"),
+        ("bad.pt2", {}, "bad.pt2: cannot be loaded by torch.export"),
+        ("bad.onnx", {}, "cannot be loaded by ONNX Runtime"),
+        ("net.onnx", {"precision": "bfloat16"}, "--precision is torch's"),
+        ("net.onnx", {"weights": "weights.pth"}, "--weights goes with package.module:name"),
+        (f"{here}:nothing", {}, "has no attribute 'nothing'"),
+        ("no.such.place:Network", {}, "no.such.place:Network: cannot be imported"),
+        ("math:pi", {}, "math:pi is float, not a module or function of tensors"),
+        (f"{here}:halved", {"weights": "weights.pth"}, "--weights goes with a torch.nn.Module"),
+        (f"{here}:Doubled", {"weights": "none.pth"}, "none.pth: there is no such file"),
+        (f"{here}:Doubled", {"weights": "model.pth"}, "save model.state_dict(), not the model"),
+        (f"{here}:Doubled", {"weights": "plain.pkl"}, "cannot be loaded as weights alone"),
+        (f"{here}:Doubled", {"weights": "cut.safetensors"}, "cut.safetensors: cannot be loaded as weights alone"),
+        (f"{here}:Doubled", {"weights": "other.pth"}, "its weights are not those of Doubled"),
+        (f"{here}:Doubled", {"device": "cpu", "precision": "float16"}, "float16 needs a GPU"),
+    )
+    monkeypatch.chdir(tmp_path)
+    for model, options, words in cases:
+        with pytest.raises((ArgumentError, FileError), match=re.escape(words)):
+            load_network(model, **options)
     assert not (tmp_path / "sung").exists()
 
 
@@ -431,6 +436,23 @@ class Nine(torch.nn.Conv2d):
 
     def __init__(self) -> None:
         super().__init__(9, 9, 3, padding=1)
+
+
+def test_predictions_of_16_bits(pristine: Tree, tmp_path: Path) -> None:
+    """Of a network whose values lie on both sides of [0, 1]: clipped, and rounded to the nearest."""
+    network = load_network("tests.baselines.test_predicting:wide")
+    for dtype in ("float32", "uint16"):
+        options: dict[str, Any] = {**where(pristine), "cameras": ["DemoBeta"], "dtype": dtype}
+        assert write_predictions(network, "", tmp_path / dtype, **options).written == 6
+    for file in (tmp_path / "uint16").rglob("*.npy"):
+        exact = np.load(tmp_path / "float32" / file.relative_to(tmp_path / "uint16"))
+        assert exact.min() < 0
+        assert exact.max() > 1
+        np.testing.assert_array_equal(np.load(file), np.rint(np.clip(exact, 0, 1) * 65535))
+
+
+def wide(image: torch.Tensor) -> torch.Tensor:
+    return 9 * image - 1
 
 
 def test_values_that_are_not_numbers_are_named(pristine: Tree, tmp_path: Path) -> None:

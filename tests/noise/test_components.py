@@ -13,7 +13,7 @@ import torch
 from scipy import stats
 
 from eldata.errors import ArgumentError
-from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters, parse_components, tukey_lambda_variance
+from eldata.noise import PAPER_MODELS, Adc, NoiseModel, NoiseParameters, parse_components, tukey_lambda_variance
 from eldata.noise.components import COMPONENTS
 from tests.cases import in_one_test
 
@@ -96,6 +96,11 @@ OUT_OF_RANGE: list[tuple[str, Any, str]] = [
 def test_what_is_refused_is_named(name: str, value: Any, words: str) -> None:
     with pytest.raises(ArgumentError, match=rf"^{name} .*{words}"):
         NoiseParameters(**GOOD | {name: value})
+
+
+def test_a_converter_of_no_range() -> None:
+    with pytest.raises(ArgumentError, match="expected 0 <= black level < white level"):
+        Adc(512.0, 512.0)
 
 
 # --- the variance -------------------------------------------------------------------------------------------------

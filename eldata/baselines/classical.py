@@ -54,12 +54,12 @@ class SignalNoise:
     black: tuple[float, ...] = ()
 
     def variance(self, signal: Values) -> Values:
-        """Return the variance where the expected signal is this; below 0 it is that of no light."""
+        """Return the variance at expected signals; below 0 they count as no light."""
         return np.asarray(self.offset + self.slope * np.maximum(signal, 0.0))
 
 
 def noise_of_parameters(parameters: NoiseParameters, *, ratio: float, range_dn: float) -> SignalNoise:
-    """Return what a camera's figures make: shot noise, read and row noise, rounding.
+    """Return the line that a camera's figures make: shot noise, read and row noise, rounding.
 
     Parameters
     ----------

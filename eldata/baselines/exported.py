@@ -123,7 +123,7 @@ def _read_record(path: Path, content: str | bytes) -> TakenInput:
 
 
 def checked_window(window: int) -> int:
-    """Return a number of frames of which the middle one is predicted; raise :class:`ArgumentError` unless it is odd."""
+    """Return a window's number of frames; raise :class:`ArgumentError` unless it is odd, as its middle is predicted."""
     if checked_whole("window", window, at_least=1) % 2 == 0:
         raise ArgumentError(f"the middle frame of a window is predicted, so their number is odd; found {window}")
     return window

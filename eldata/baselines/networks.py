@@ -70,7 +70,7 @@ class NetworkDenoiser:
     is_code: bool = False
 
     def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:  # noqa: ARG002 # any
-        """Return what decides its predictions."""
+        """Return the settings that decide its predictions."""
         known: dict[str, Any] = {} if self.clip is None else {"clip": self.clip}
         if self.is_code:
             frames, side = (self.window,) if self.window > 1 else (), self.multiple * -(-_SIDE // self.multiple)
@@ -131,7 +131,7 @@ class _OnnxRun:
 
 
 def _take_image(made: Any, image: NDArray[np.float32]) -> Values:
-    """Take the one image that a network was to make of one."""
+    """Take the image out of a network's batch of one."""
     if not isinstance(made, np.ndarray) or made.ndim != 4 or len(made) != 1:
         found = getattr(made, "shape", type(made).__name__)
         raise EldataError(f"the network is to make (1, C, h, w) of {(1, *image.shape)}; it made {found}")
@@ -231,13 +231,13 @@ def _digest_of(module: Any) -> str:
 
 
 def _read_attribute(module: Any, name: str) -> int | None:
-    """Return what a module's attribute says of its input, if it has one."""
+    """Read a positive whole number from a module's attribute, if it has one."""
     found = getattr(module, name, None)
     return found if isinstance(found, int) and not isinstance(found, bool) and found > 0 else None
 
 
 def _choose_sizes(model: str, taken: TakenInput, window: int | None, multiple: int | None) -> tuple[int, int]:
-    """Settle the window and the multiple; wanted ones must not contradict the network's."""
+    """Choose the window and the multiple; the caller's must not contradict the network's."""
     if taken.window is not None and window not in (None, taken.window):
         what, option = f"windows of {taken.window} frames", f"--window {window}"
     elif taken.multiple is not None and multiple is not None and multiple % taken.multiple:
@@ -308,7 +308,7 @@ def _import_network(place: str, weights: Path | str | None) -> Any:
 
 
 def _is_maker(place: str, found: Any) -> bool:
-    """Return whether an object is called for the network, not with an image: a class, or what needs no argument."""
+    """Tell a maker of networks, a class or a function without arguments, from a function of images."""
     import torch
 
     if not callable(found) or isinstance(found, torch.nn.Module):

@@ -154,7 +154,7 @@ class _Windows:
         return np.array_split(places, max(1, min(most, len(places) // fewest)))
 
     def excess(self, line: NoiseLine) -> Values:
-        """Return how much more the middle frequencies hold at each place, all channels together, as a share."""
+        """Return the excess of the middle frequencies over the line at each place, as a share, over all channels."""
         share = (self.middle / line.variance(self.mean)).mean(axis=0) - 1
         return np.asarray(np.broadcast_to(share, self.mean.shape))
 
@@ -202,7 +202,7 @@ class _Windows:
         return NoiseLine(slope, float(weight @ found) / total - slope * float(weight @ mean) / total, least)
 
     def texture(self, line: NoiseLine, excess: Values, within: float) -> Values:
-        """Return what the highest frequencies of each window have of the scene, as its middle ones let expect.
+        """Estimate the scene's part in the highest frequencies of each window from its middle frequencies.
 
         Windows were chosen by their excess, so that without any texture its mean lies below 0.
         """

@@ -1,4 +1,4 @@
-"""A data set through a denoiser into a folder that :func:`eldata.evaluate` scores; what is there already is kept."""
+"""A data set through a denoiser into a folder that :func:`eldata.evaluate` scores; existing predictions are kept."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Denoiser(Protocol):
     """Whatever predicts a frame. With more than one worker it has to be picklable."""
 
     def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:
-        """Return what decides its predictions, of plain types: a folder holds those of one.
+        """Return the settings that decide its predictions, of plain types; a folder holds predictions of one denoiser.
 
         Parameters
         ----------
@@ -171,7 +171,7 @@ class PredictionReport:
     remarks: tuple[str, ...] = ()
 
     def format_text(self) -> str:
-        """Return what a command shows."""
+        """Return the lines that a command prints."""
         kept = f", {self.kept} were there" if self.kept else ""
         lines = [*self.problems, *self.remarks, f"{counted(self.written, 'frame')} predicted{kept}: {self.folder}"]
         return "\n".join(lines)
@@ -277,7 +277,7 @@ def write_predictions(
 
 
 def _collect_remarks(settings: dict[str, Any], cameras: Sequence[str]) -> tuple[str, ...]:
-    """Return what the folder's settings mean for its reader."""
+    """Collect remarks on the folder's settings for readers of the scores."""
     remarks = describe_answers(settings.get(ANSWERS, {}))
     without = [camera for camera in cameras if camera not in settings["noise"]] if settings.get(ANOTHER) else []
     if not without:
@@ -287,7 +287,7 @@ def _collect_remarks(settings: dict[str, Any], cameras: Sequence[str]) -> tuple[
 
 
 def _plan_units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]:
-    """Return the pairs and windows of which predictions are missing, with the clips that they are of."""
+    """Plan the work: pairs and windows without all predictions, with their clips."""
     clips: dict[str, Clip] = {}
     if request.kind is not IMAGES:
         listed, first = expand(request.manifest.records, request.folder), {pair.path for pair in pairs}
@@ -308,7 +308,7 @@ def _prediction_file(folder: Path, pair: Pair, path: str) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class _Unit:
-    """A pair, or a window of a clip, and those of its frames that are to be predicted."""
+    """A pair, or a window of a clip, and its frames without a prediction."""
 
     pair: Pair
     missing: tuple[str, ...]

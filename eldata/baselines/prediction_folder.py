@@ -55,7 +55,7 @@ def begin_folder(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
 
 
 def _is_other_work(file: Path, settings: dict[str, Any]) -> bool:
-    """Return whether the folder was begun by other work that nobody does; raise if it has come to something."""
+    """Check whether other work, which nobody does now, began the folder without a prediction; raise if it has some."""
     stated = dict(TextFile(file, EldataError, "remove the folder to start again").json().data)
     given = settings.get(ANSWERS)
     is_same = is_alike(stated.get(ANSWERS), given, settings.get("precision"))
@@ -100,7 +100,7 @@ _TOLERANCE_FLOAT32 = 1e-4
 def probe_network(
     run: Callable[[NDArray[np.float32]], NDArray[Any]], shape: tuple[int, ...], precision: str
 ) -> list[float] | str:
-    """Return what a network gives for a fixed input: sums over all of it, each with weights of its own.
+    """Run a network on a fixed input; return weighted sums over its output.
 
     The input, of the ``shape`` (..., h, w), grows from 0 to 1 over its columns, and has noise that goes below 0.
     """
@@ -119,7 +119,7 @@ def probe_network(
 
 
 def is_alike(found: Any, expected: Any, precision: str | None) -> bool:
-    """Return whether two answers, or all those of two folders, are those of one network."""
+    """Check whether two answers, or all answers of two folders, come from one network."""
     if isinstance(found, dict) and isinstance(expected, dict):
         keys = found.keys() | expected.keys()
         return all(is_alike(found.get(key), expected.get(key), precision) for key in keys)
@@ -130,7 +130,7 @@ def is_alike(found: Any, expected: Any, precision: str | None) -> bool:
 
 
 def describe_answers(answers: dict[str, list[float] | str]) -> tuple[str, ...]:
-    """Return what people should know of a network's answers."""
+    """Describe a network's answers where readers of its scores should know."""
     found = set(map(str, answers.values()))
     if _EACH_TIME in found:
         return ("the network gives something else for the same input at each call: interrupted work cannot go on",)

@@ -103,13 +103,13 @@ def _check_size(made: Values, given: Values) -> Values:
 
 
 def _place_tiles(length: int, tile: int, overlap: int) -> list[int]:
-    """Return where tiles begin: as few as reach the end, the last one ending there."""
+    """List the starts of tiles: as few as reach the end, where the last one ends."""
     places = list(range(0, length - tile, tile - overlap)) if tile < length else []
     return [*places, length - tile]
 
 
 def _weigh_tiles(places: list[int], tile: int, overlap: int) -> list[Values]:
-    """Return the weight of each tile along one side; those of all tiles add up to 1 everywhere."""
+    """Return the weights of each tile along one side; over all tiles they add up to 1 everywhere."""
     margin = overlap // 4
     fading = overlap - 2 * margin
     rising = np.concatenate([np.zeros(margin), (np.arange(fading) + 0.5) / max(fading, 1)])

@@ -1,4 +1,4 @@
-"""Calibration frames of a simulated camera with known noise: real DNG files, their manifest, and the truth beside them.
+"""Calibration frames of a simulated camera with known noise: real DNG files, their manifest, and the truth.
 
 Bias frames stand at the shortest exposure. Flats are pairs of equal exposure under one constant lamp: only the time
 changes, in thirds of a stop, so that the signal is proportional to time x K over all ISOs.

@@ -49,7 +49,7 @@ _INK, _PAPER = (225, 225, 225), (24, 24, 26)
 def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0, beside: str = "dct") -> dict[str, EvaluationResult]:
     """Run the demo into a folder, printing what happens; return the results of ``amplified``, ``dct`` and ``network``.
 
-    ``beside`` is the baseline that takes the place of ``dct`` beside the network.
+    ``beside`` is the baseline to compare the network with, by default ``dct``.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0, beside: str = "dct
 
 
 def score_method(folder: Path, name: str, what: str, place: Path | None) -> EvaluationResult:
-    """Score predictions of a demo's set, or with no place its input; print what is done, and write ``<name>.csv``.
+    """Score predictions of a demo's set, or with no place its input; print command and table, write ``<name>.csv``.
 
     Parameters
     ----------

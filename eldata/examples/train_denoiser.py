@@ -268,7 +268,7 @@ def save_trained(network: Any, folder: Path, channels: int, clip: Clip) -> None:
 
 
 def choose_set(options: argparse.Namespace) -> list[str]:
-    """Return the options by which eldata names the set to score on: that of the validation, else ELD."""
+    """Return the options that name the set to score on: the validation's, else ELD."""
     name = options.validate or "eld"
     chosen = ["--manifest" if Path(name).suffix == ".csv" else "--dataset", name]
     chosen += ["--root", options.root] if options.root else []
@@ -286,7 +286,7 @@ def show_next(folder: Path, *chosen: str) -> None:
 
 
 def open_curves(folder: Path) -> Callable[[str, float, int], object]:
-    """Return what takes a curve's name, value and step: TensorBoard's writer, if it is installed."""
+    """Open TensorBoard's writer, if it is installed; return a function of a curve's name, value and step."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:

@@ -29,7 +29,7 @@ _SMALL = (
 def train_on_demo(
     folder: Path, results: Mapping[str, EvaluationResult], *, scenes: int, seed: int = 0, epochs: int = 20
 ) -> EvaluationResult:
-    """Train a network on a demo's cameras and other scenes, score it beside the others, and print what happens.
+    """Train a network on a demo's cameras and other scenes, score it like the others, and print what happens.
 
     Parameters
     ----------

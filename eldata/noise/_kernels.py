@@ -177,7 +177,7 @@ def expose_compiled(
 
 
 def _figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool) -> NDArray[np.void]:
-    """Collect what is drawn for each packed channel of each image, (N, C)."""
+    """Collect the figures of each packed channel of each image, (N, C)."""
     figures = np.empty((len(draws), channels), FIGURES)
     for name in PARAMETERS:
         figures[name] = np.array([getattr(draw.parameters, name) for draw in draws])[:, None]

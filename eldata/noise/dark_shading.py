@@ -367,7 +367,7 @@ class DarkShading:
 
 
 def _read(path: Path) -> tuple[DarkShading, str]:
-    """Read a shading, and the digest that its file states; what is declared is checked before it is loaded."""
+    """Read a shading and the digest that its file states; declared sizes are checked before anything is loaded."""
 
     def array(name: str, dtype: str, *shape: int) -> NDArray[Any]:
         def check(header: Declared) -> None:
@@ -434,5 +434,5 @@ def _load_cached(path: Path, *_: int) -> DarkShading:
 
 
 def _rows(values: NDArray[Any]) -> NDArray[Any]:
-    """Return an array as its rows: what is done to one at a time takes no memory."""
+    """Return an array as its rows: work on one row at a time takes no memory."""
     return values.reshape(-1, values.shape[-1])

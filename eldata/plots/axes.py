@@ -278,7 +278,7 @@ class Drawing(Figure):
 
 
 def drawn_into(axes: Axes | None, title: str, draw: Callable[[Axes, Theme], object]) -> Figure:
-    """Draw into somebody's axes, in their style, or into those of a new figure; return the figure."""
+    """Draw into the caller's axes, in their style, or into a new figure; return the figure."""
     if axes is None:
         return drawn_grid("", [(title, draw)])
     axes.set_title(drawable(title), parse_math=False)
@@ -308,7 +308,7 @@ def drawn_grid(title: str, draws: Sequence[tuple[str, Callable[[Axes, Theme], ob
 
 
 def drawable(text: str, longest: int = 120) -> str:
-    """Return a text of at most so many letters, with a box in place of those that the plots' font lacks."""
+    """Return a text of at most so many letters, with a box for each letter that the plots' font lacks."""
     text = text if len(text) <= longest else f"{text[: longest - 1]}…"
     font = get_font(findfont("DejaVu Sans"))
     return "".join(letter if letter == "\n" or font.get_char_index(ord(letter)) else "□" for letter in text)

@@ -1,4 +1,4 @@
-"""Arrays as pictures: beside each other in a figure, as small JPEGs, as greys and as colours of errors."""
+"""Arrays as pictures: side by side in a figure, as small JPEGs, as greys and as colours of errors."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _encode(image: Image.Image, **options: Any) -> bytes:
 
 
 def block_means(values: NDArray[Any], step: int) -> NDArray[Any]:
-    """Return means of blocks of so many rows and columns of (..., h, w); what is left over at the ends is cut off."""
+    """Return means of blocks of so many rows and columns of (..., h, w); incomplete blocks at the ends are cut off."""
     height, width = (length // step * step for length in values.shape[-2:])
     cut = values[..., :height, :width]
     blocks = cut.reshape(*values.shape[:-2], height // step, step, width // step, step)

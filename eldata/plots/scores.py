@@ -37,7 +37,7 @@ class Strip:
 
 
 def draw_points(axes: Axes, points: Sequence[tuple[float | None, float, float]], theme: Theme, *, alpha: float) -> None:
-    """Draw points (factor, x, y), those of each factor alike, with a legend of the factors."""
+    """Draw points (factor, x, y), with a look and a legend entry for each factor."""
     ratios = sorted({ratio for ratio, _, _ in points}, key=lambda ratio: ratio or 0.0)
     for index, ratio in enumerate(ratios):
         xs, ys = zip(*((x, y) for factor, x, y in points if factor == ratio), strict=True)
@@ -46,7 +46,7 @@ def draw_points(axes: Axes, points: Sequence[tuple[float | None, float, float]],
 
 
 def strips(axes: Axes, values: Sequence[Strip], theme: Theme) -> None:
-    """Draw the values of each group and factor in a column of their own, beside each other by factor."""
+    """Draw the values of each group and factor in a column of their own, the factors of a group side by side."""
     groups = list(dict.fromkeys(strip.group for strip in values))
     ratios = sorted({strip.ratio for strip in values}, key=lambda ratio: -1.0 if ratio is None else ratio)
     width = 0.8 / len(ratios)
@@ -88,7 +88,7 @@ def _mean_bar(axes: Axes, x: float, half: float, mean: Mean, theme: Theme) -> No
 
 
 def look_of_factor(index: int, ratio: float | None, theme: Theme) -> dict[str, Any]:
-    """Return how the points of a factor look; ``index`` is its place among the factors."""
+    """Choose the look of a factor's points; ``index`` is its place among the factors."""
     colours = (theme.found, theme.theory, *theme.channels[1:])
     return {
         "color": colours[index % len(colours)],

@@ -190,7 +190,7 @@ def _group(
     pictures: Sequence[Pictures] = (),
     note: str = "",
 ) -> dict[str, Any]:
-    """Gather what is shown of one kind of noise, and why its quantities are not given, or with which error."""
+    """Gather numbers, plots and pictures of one kind of noise, and why its quantities are withheld or less exact."""
     effect: Effect = "remark"
     if why := record.why(*quantities):
         note, effect = f"Withheld: {why.rstrip('.')}.", "withheld"

@@ -256,7 +256,7 @@ def read_noise_plots(record: IsoCalibration, read: ReadNoise, plot: ProbabilityP
 
 
 def reproduced_plot(record: IsoCalibration, kept: Reproduction) -> Plot:
-    """Draw the quantiles of a real bias frame over those of a simulated one."""
+    """Draw the quantiles of a real bias frame over the quantiles of a simulated one."""
     r_squared = digits(kept.r_squared, 6)
     alt = (
         f"Quantiles of the held-out bias frame against those of a simulated one at ISO {record.iso:g}, from 0.00001 to "

@@ -160,7 +160,7 @@ def _differences_table(comparison: Comparison, index: int | None = None) -> Tabl
 
 
 def _look(sign: float) -> str:
-    """Return how a difference looks: better or worse, or neither."""
+    """Name the look of a difference: better, worse, or neither."""
     return "ok" if sign > 0 else "off" if sign < 0 else ""
 
 
@@ -241,7 +241,7 @@ def _facets(comparison: Comparison) -> dict[str, list[str]]:
 
 
 def _looking(comparison: Comparison, drawn: Sequence[DrawnImage]) -> dict[str, Any]:
-    """Return what the viewer shows: its panels, and of each image addresses, sizes and words.
+    """Gather the viewer's panels, and addresses, sizes and words of each image.
 
     A panel has a key, what it is called, the key of the error below it, and the key of a keyboard that chooses it.
     """

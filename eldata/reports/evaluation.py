@@ -153,7 +153,7 @@ class Table:
 
 
 def number_cell(value: float, text: str, look: str = "") -> Cell:
-    """Return a cell that sorts by its number; what is not known sorts last."""
+    """Make a cell that sorts by its number; unknown numbers sort last."""
     return Cell(signed(text) if not math.isnan(value) else "–", look, json.dumps(value))
 
 
@@ -227,7 +227,7 @@ def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
 
 
 def _method(result: EvaluationResult) -> str:
-    """Return what to call the predictions: their folder's name, or the baseline."""
+    """Name the predictions: by their folder, or by the baseline."""
     predictions = str(result.provenance.get("predictions", ""))
     if predictions.startswith("none: "):
         return predictions.removeprefix("none: ").capitalize()
@@ -260,7 +260,7 @@ _LAYERS = {
 
 
 def _viewer(name: str, score: UnitScore, image: DrawnImage, result: EvaluationResult) -> dict[str, Any]:
-    """Gather what is shown of one image: identifier, facts, layers with key, label, words and JPEG, and the crop."""
+    """Gather identifier, facts, layers (key, label, words, JPEG) and crop of one image."""
     times = ("", "") if score.ratio is None else (f" ×{score.ratio:g}", f" times {score.ratio:g}")
 
     def layers(jpegs: dict[str, bytes], place: str) -> list[tuple[str, str, str, bytes]]:

@@ -73,7 +73,7 @@ def _environment(templates: Path) -> jinja2.Environment:
 
 
 def _make_visible(value: object) -> object:
-    """Return what is put in a page with only characters that show."""
+    """Return a value for a page with only characters that show."""
     # Of what is markup already, autoescape and our own filters have made every part.
     return visible(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
@@ -101,7 +101,7 @@ def typeset(text: str) -> str:
 
 
 def signed(text: str) -> str:
-    """Return a number with a minus sign in place of its hyphen."""
+    """Return a number with a minus sign instead of its hyphen."""
     return text.replace("-", "−")
 
 
@@ -111,7 +111,7 @@ def prose(text: str) -> str:
 
 
 def digits(value: float, count: int = 3) -> str:
-    """Return a number with ``count`` significant digits; "not known" for what is not a number."""
+    """Return a number with ``count`` significant digits; "not known" if it is not finite."""
     return signed(f"{value:.{count}g}") if math.isfinite(value) else "not known"
 
 

@@ -141,7 +141,7 @@ def draw_images(
     page
         The page's file. Pictures of an earlier page of this name are replaced, and removed where there are fewer now.
     whole
-        Draw all of each image, one to one, in place of the part in which the methods differ most.
+        Draw all of each image, one to one, instead of the part in which the methods differ most.
     workers
         Where to decode and draw; one image at a time in this process by default.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from functools import partial
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -191,14 +192,9 @@ def test_tiles_of_a_clip_are_the_whole_frame() -> None:
     """A network of depth 1 reaches 9 pixels; a quarter of an overlap of 40 is 10."""
     network = UNet(4, width=3, depth=1, frames=5, seed=4).eval()
     frames = np.random.default_rng(0).random((5, 4, 210, 188)).astype(np.float32)
-
-    def run(window: NDArray[np.float32]) -> NDArray[np.float32]:
-        with torch.inference_mode():
-            return np.asarray(network(torch.from_numpy(window)[None])[0].numpy())
-
     frame: Any = SimpleNamespace(window=lambda length: frames[:length])  # as much of it as a network asks for
-    found = NetworkDenoiser(run, {}, tile=160, overlap=40, multiple=2, window=5)(frame)
-    assert np.abs(found - run(frames)).max() < 5e-6
+    found = NetworkDenoiser(partial(run, network), {}, tile=160, overlap=40, multiple=2, window=5)(frame)
+    assert np.abs(found - run(network, frames)).max() < 5e-6
 
 
 def test_a_clip_that_was_begun_goes_on_frame_by_frame(drv: SmallDrv, tmp_path: Path) -> None:

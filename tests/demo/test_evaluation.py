@@ -84,13 +84,10 @@ def test_training_on_the_demo(
     assert clean == [f"data/clean/Demo{name}/scene-{number}.dng" for name in ("Alpha", "Beta") for number in (2, 3)]
     assert f"epoch 0: step {len(clean) * 4 // 8}," in "\n".join(lines)
     scores = {name: json.loads((folder / f"{name}.json").read_text()) for name in ("amplified", "trained")}
-    before, after = (
-        np.mean([image["psnr_db"] for image in scores[name]["images"]]) for name in ("amplified", "trained")
-    )
+    before, after = (np.mean([image["psnr_db"] for image in found["images"]]) for found in scores.values())
     assert {image["scene"] for image in scores["trained"]["images"]} == {"scene-1"}
-    assert (
-        last == f"trained: {abs(after - before):.2f} dB {'above' if after > before else 'below'} the amplified input."
-    )
+    side = "above" if after > before else "below"
+    assert last == f"trained: {abs(after - before):.2f} dB {side} the amplified input."
     shown = [shlex.split(line)[1:] for line in lines if line.startswith("$ eldata ") and "trained" in line]
     assert [one[1] for one in shown] == ["predict", "evaluate", "evaluate"]  # as the training has it, and as it is done
     assert shown[1] == shown[2]

@@ -293,8 +293,5 @@ def test_the_registries_hold_what_a_yaml_names(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "standing_in.utils.registry", other)
     with pytest.raises(ArgumentError, match="something else is registered as eldata_psnr"):
         register("standing_in")
-
-
-def test_a_package_that_is_not_there() -> None:
     with pytest.raises(MissingBasicSRError, match=r"no_such_code\.utils\.registry cannot be imported"):
         register("no_such_code")

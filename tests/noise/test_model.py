@@ -128,10 +128,7 @@ def test_the_clean_data_is_not_written_to() -> None:
     result = noisy(clean)
     assert not np.shares_memory(result, clean)
     np.testing.assert_array_equal(clean, FLAT)
-    tensor = torch.from_numpy(FLAT.copy()).requires_grad_()
-    noisy_tensor = noisy(tensor)
-    assert not noisy_tensor.requires_grad
-    np.testing.assert_array_equal(tensor.detach().numpy(), FLAT)
+    assert not noisy(torch.from_numpy(clean.copy()).requires_grad_()).requires_grad
 
 
 # --- determinism ----------------------------------------------------------------------------------------------------

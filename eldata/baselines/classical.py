@@ -92,9 +92,9 @@ def noise_of_image(image: Values) -> SignalNoise:
     """
     from eldata.baselines.noise_line import noise_line
 
-    found = noise_line(image)
+    line = noise_line(image)
     # A line fitted to bright parts alone may cross 0 before black.
-    return SignalNoise(max(found.slope, 0.0), max(found.offset, found.least_variance / 4))
+    return SignalNoise(max(line.slope, 0.0), max(line.offset, line.least_variance / 4))
 
 
 _SIDE = 8  # of a patch

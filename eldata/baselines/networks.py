@@ -133,8 +133,8 @@ class _OnnxRun:
 def _take_image(made: Any, image: NDArray[np.float32]) -> Values:
     """Take the image out of a network's batch of one."""
     if not isinstance(made, np.ndarray) or made.ndim != 4 or len(made) != 1:
-        found = getattr(made, "shape", type(made).__name__)
-        raise EldataError(f"the network is to make (1, C, h, w) of {(1, *image.shape)}; it made {found}")
+        shape = getattr(made, "shape", type(made).__name__)
+        raise EldataError(f"the network is to make (1, C, h, w) of {(1, *image.shape)}; it made {shape}")
     return np.asarray(made[0])
 
 
@@ -202,8 +202,8 @@ def load_network(
             raise ArgumentError(f"--weights goes with package.module:name; {model} holds its own")
         path = Path(model)
         if not path.is_file():
-            found = "is a folder" if path.is_dir() else "there is no such file"
-            raise FileError(path, f"{found}; give a model's file, or package.module:name")
+            problem = "is a folder" if path.is_dir() else "there is no such file"
+            raise FileError(path, f"{problem}; give a model's file, or package.module:name")
         identity = {"denoiser": path.name, "denoiser_sha256": sha256_of(path)}
         if path.suffix == ".onnx":
             beside = sorted(path.parent.glob(f"{glob.escape(path.name)}[._]data"))  # where exporters put large weights
@@ -232,8 +232,8 @@ def _digest_of(module: Any) -> str:
 
 def _read_attribute(module: Any, name: str) -> int | None:
     """Read a positive whole number from a module's attribute, if it has one."""
-    found = getattr(module, name, None)
-    return found if isinstance(found, int) and not isinstance(found, bool) and found > 0 else None
+    value = getattr(module, name, None)
+    return value if isinstance(value, int) and not isinstance(value, bool) and value > 0 else None
 
 
 def _choose_sizes(model: str, taken: TakenInput, window: int | None, multiple: int | None) -> tuple[int, int]:
@@ -296,8 +296,8 @@ def _open_onnx(path: Path, device: str) -> Any:
 def _import_network(place: str, weights: Path | str | None) -> Any:
     import torch
 
-    found = named_object(place)
-    made = found() if _is_maker(place, found) else found
+    target = named_object(place)
+    made = target() if _is_maker(place, target) else target
     if not callable(made):
         raise ArgumentError(f"{place} is {type(made).__name__}, not a module or function of tensors")
     if weights is not None:
@@ -307,25 +307,26 @@ def _import_network(place: str, weights: Path | str | None) -> Any:
     return made
 
 
-def _is_maker(place: str, found: Any) -> bool:
+def _is_maker(place: str, target: Any) -> bool:
     """Tell a maker of networks, a class or a function without arguments, from a function of images."""
     import torch
 
-    if not callable(found) or isinstance(found, torch.nn.Module):
+    if not callable(target) or isinstance(target, torch.nn.Module):
         return False
     try:
-        parameters = signature(found).parameters.values()
+        parameters = signature(target).parameters.values()
     except ValueError:  # some functions that are not written in Python state none
-        return isinstance(found, type)
+        return isinstance(target, type)
     several = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-    needed = [one.name for one in parameters if one.default is Parameter.empty and one.kind not in several]
-    if isinstance(found, type) and needed:
+    asked = [parameter for parameter in parameters if parameter.kind not in several]
+    needed = [parameter.name for parameter in asked if parameter.default is Parameter.empty]
+    if isinstance(target, type) and needed:
         raise ArgumentError(
             f"{place} is a class whose {', '.join(needed)} nobody gives here; give an instance, or a function without "
             "arguments that makes one"
         )
     # A function of *images takes them; one whose arguments all have defaults makes a network.
-    return isinstance(found, type) or not (needed or any(one.kind is several[0] for one in parameters))
+    return isinstance(target, type) or not (needed or any(parameter.kind is several[0] for parameter in parameters))
 
 
 def _load_weights(module: Any, path: Path) -> None:

@@ -131,9 +131,9 @@ def is_alike(found: Any, expected: Any, precision: str | None) -> bool:
 
 def describe_answers(answers: dict[str, list[float] | str]) -> tuple[str, ...]:
     """Describe a network's answers where readers of its scores should know."""
-    found = set(map(str, answers.values()))
-    if _EACH_TIME in found:
+    kinds = set(map(str, answers.values()))
+    if _EACH_TIME in kinds:
         return ("the network gives something else for the same input at each call: interrupted work cannot go on",)
-    if found == {_NOT_TAKEN}:
+    if kinds == {_NOT_TAKEN}:
         return ("the network cannot take a small fixed input, so a change of its code would not be noticed here",)
     return ()

@@ -59,30 +59,30 @@ def run_calibration_demo(
     profile, report = folder / f"{camera.name}.json", folder / "calibration.html"
     files = f"-o {shlex.quote(str(profile))} --html {shlex.quote(str(report))}"
     print(f"\n$ eldata calibrate {shlex.quote(str(data))} --camera {camera.name} {files}")
-    found = calibrate(CalibrationFrames(data, camera.name), workers=workers)
-    print(found.format_text())
-    found.profile.save(profile)
-    write_text(report, calibration_page(found))
+    calibration = calibrate(CalibrationFrames(data, camera.name), workers=workers)
+    print(calibration.format_text())
+    calibration.profile.save(profile)
+    write_text(report, calibration_page(calibration))
 
     print(f"\nfound - true, in brackets in standard errors (truth: {folder / 'truth.json'})")
-    print(compare_with_truth(found, TextFile(folder / "truth.json", EldataError).json().data))
+    print(compare_with_truth(calibration, TextFile(folder / "truth.json", EldataError).json().data))
     print(f"\nTo look at: {report}. Took {time.perf_counter() - start:.0f} s.")
-    return found
+    return calibration
 
 
-def compare_with_truth(found: Calibration, truth: Mapping[str, Any]) -> str:
+def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> str:
     """Return a table of the errors of a calibration.
 
     Parameters
     ----------
-    found
+    calibration
         From frames of :func:`~eldata.demo.calibration_frames.make_calibration_frames`.
     truth
         Their ``truth.json``.
     """
     header = ("ISO", "K [%]", "lambda", "sigma_TL [%]", "sigma_G [%]", "sigma_row [%]", "colour bias [DN]")
     true = {known["iso"]: known for known in truth["isos"]}
-    return text_table(header, [_error_row(record, true[record.iso]) for record in found.isos], left=())
+    return text_table(header, [_error_row(record, true[record.iso]) for record in calibration.isos], left=())
 
 
 def _error_row(record: IsoCalibration, true: dict[str, Any]) -> tuple[str, ...]:
@@ -107,7 +107,7 @@ def _error_row(record: IsoCalibration, true: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _format_error(found: MeasuredFigure | None, true: float) -> str:
-    if found is None:
+def _format_error(figure: MeasuredFigure | None, true: float) -> str:
+    if figure is None:
         return "withheld"
-    return f"{100 * (found.value / true - 1):+.2f} ({(found.value - true) / found.error:+.1f})"
+    return f"{100 * (figure.value / true - 1):+.2f} ({(figure.value - true) / figure.error:+.1f})"

@@ -71,11 +71,11 @@ def run(options: argparse.Namespace) -> int:
     channels, made = sample["input"].shape[0], sample["target"].shape[0]
     network = UNet(made, inputs=channels, width=options.width, depth=options.depth, seed=options.seed)
 
-    def shown(report: EpochReport, steps: int) -> dict[str, float]:
+    def score_epoch(report: EpochReport, steps: int) -> dict[str, float]:
         is_due = options.validate and ((report.epoch + 1) % options.validate_every == 0 or report.step == steps)
         return {"items/s": report.items_per_s} | (validate(network, options, device) if is_due else {})
 
-    train(options, device, data, network, absolute_error, {"depth": options.depth}, shown)
+    train(options, device, data, network, absolute_error, {"depth": options.depth}, score_epoch)
     return save_and_show(options, network, channels, choose_set(options))
 
 
@@ -169,13 +169,8 @@ def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Datas
     if not options.camera:
         raise ArgumentError("--clean needs a camera's noise: --camera")
     source = CleanFrames(options.clean if len(options.clean) > 1 else options.clean[0], levels=options.levels)
-    noise = {
-        "model": make_noise(options),
-        "iso": options.iso,
-        "ratio": tuple(options.ratio),
-        "clip": options.input_clip,
-    }
-    noise["range_dn"] = options.range_dn
+    noise = {"model": make_noise(options), "ratio": tuple(options.ratio), "clip": options.input_clip}
+    noise |= {"iso": options.iso, "range_dn": options.range_dn}
     if not options.noise2noise:
         return SyntheticPairs(source, options.camera, **crops, **noise)
     count = crops.pop("crops_per_frame", 1)
@@ -247,16 +242,16 @@ def validate(network: UNet, options: argparse.Namespace, device: torch.device) -
     protocol, scores = protocol_of_tensors(scored_protocol(options)), []
     network.eval()
 
-    def predicted(image: Any) -> Any:
+    def predict(image: Any) -> Any:
         return network(torch.from_numpy(image)[None].to(device))[0].float().cpu().numpy()
 
     with torch.inference_mode():
         for batch in evaluation_loader(pairs, workers=options.workers):
             image = batch["input"][0].numpy()
-            found = tiled(predicted, image, tile=1024, overlap=128, multiple=network.multiple)
-            scores.append(protocol_score(protocol, torch.from_numpy(found), batch["target"][0]))
-    values = {"psnr_db": [one.psnr_db for one in scores], "ssim": [one.ssim for one in scores]}
-    return {name: math.fsum(of_all) / len(scores) for name, of_all in values.items()}
+            prediction = tiled(predict, image, tile=1024, overlap=128, multiple=network.multiple)
+            scores.append(protocol_score(protocol, torch.from_numpy(prediction), batch["target"][0]))
+    values = {"psnr_db": [score.psnr_db for score in scores], "ssim": [score.ssim for score in scores]}
+    return {name: math.fsum(column) / len(scores) for name, column in values.items()}
 
 
 def save_trained(network: Any, folder: Path, channels: int, clip: Clip) -> None:

@@ -283,10 +283,10 @@ def drawn_into(axes: Axes | None, title: str, draw: Callable[[Axes, Theme], obje
         return drawn_grid("", [(title, draw)])
     axes.set_title(drawable(title), parse_math=False)
     draw(axes, LIGHT)
-    found = axes.get_figure(root=True)
-    if found is None:
+    figure = axes.get_figure(root=True)
+    if figure is None:
         raise ArgumentError("ax is in no figure: it was removed from its own")
-    return found
+    return figure
 
 
 def drawn_grid(title: str, draws: Sequence[tuple[str, Callable[[Axes, Theme], object]]]) -> Drawing:

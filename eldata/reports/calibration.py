@@ -157,16 +157,8 @@ def _sections(calibration: Calibration) -> list[tuple[str, str, list[tuple[str, 
         summaries[record.iso] = "".join(
             f", {typeset(figure.label)} {_alone(figure, 3 if figure.unit else 2)}" for figure in figures
         )
-        groups[record.iso] = [
-            *(
-                _gain(record),
-                _colour_bias(record),
-                _rows(record),
-                _read_noise(record),
-                _reproduction(record),
-                _pattern(record),
-            )
-        ]
+        kinds = (_gain, _colour_bias, _rows, _read_noise, _reproduction, _pattern)
+        groups[record.iso] = [gather(record) for gather in kinds]
     sections = []
     for each in calibration.all_isos:
         gain = "K not known" if each.gain_text == "-" else f"K {_alone(each.gain)}"

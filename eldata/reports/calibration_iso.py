@@ -105,13 +105,13 @@ def _draw_single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> No
 # --- colour bias --------------------------------------------------------------------------------------------------
 
 
-def bias_plot(record: IsoCalibration, given: Sequence[MeasuredFigure]) -> Plot:
+def bias_plot(record: IsoCalibration, figures: Sequence[MeasuredFigure]) -> Plot:
     """Draw the colour bias, and below how much the frames' own means scatter around it."""
     bias = record.bias
     channels = len(record.channels)
-    found = ", ".join(f"{name} {format_figure(figure)}" for name, figure in zip(record.channels, given, strict=True))
+    values = ", ".join(f"{name} {format_figure(figure)}" for name, figure in zip(record.channels, figures, strict=True))
     alt = (
-        f"Mean of the bias frames over the recorded black level at ISO {record.iso:g}: {found}; and the means of "
+        f"Mean of the bias frames over the recorded black level at ISO {record.iso:g}: {values}; and the means of "
         f"{bias.frames} single frames around it."
     )
 
@@ -121,7 +121,7 @@ def bias_plot(record: IsoCalibration, given: Sequence[MeasuredFigure]) -> Plot:
         main.axhline(0, color=theme.theory)
         below.axhline(0, color=theme.theory, linewidth=1)
         for channel in range(channels):
-            mean, error = given[channel].value, given[channel].error
+            mean, error = figures[channel].value, figures[channel].error
             style: dict[str, Any] = {"marker": MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
             main.errorbar(channel, mean, yerr=error if math.isfinite(error) else None, capsize=4, **style)
             below.plot(channel + across, bias.frame_bias_dn[frames, channel] - mean, markersize=3.5, **style)
@@ -315,20 +315,20 @@ def spectrum_picture(record: IsoCalibration) -> Pictures:
     low, high = limits([spectrum], 0.01, 0.999)
     low = max(low, ground / 8, 1e-9)  # of a single tile, chance alone goes far down
     high = max(high, 2 * low)
-    found = f"{digits(rows / ground)} times the ground" if ground > 0 else f"{digits(rows)} DN²"
-    across = f"{digits(columns / ground)} times" if ground > 0 else f"{digits(columns)} DN²"
+    of_rows = f"{digits(rows / ground)} times the ground" if ground > 0 else f"{digits(rows)} DN²"
+    of_columns = f"{digits(columns / ground)} times" if ground > 0 else f"{digits(columns)} DN²"
     alt = (
-        f"Centred power spectrum of a bias frame at ISO {record.iso:g}: the vertical line of rows is {found}, the "
-        f"horizontal one of columns {across}; the ground is {digits(ground)} DN²."
+        f"Centred power spectrum of a bias frame at ISO {record.iso:g}: the vertical line of rows is {of_rows}, the "
+        f"horizontal one of columns {of_columns}; the ground is {digits(ground)} DN²."
     )
     scale = (float(np.log(low)), float(np.log(high)))
     plane = np.log(np.maximum(spectrum, low))
-    return _pictures("spectrum", [("", alt, plane)], scale, "DN²", (low, high), rows=found, columns=across)
+    return _pictures("spectrum", [("", alt, plane)], scale, "DN²", (low, high), rows=of_rows, columns=of_columns)
 
 
-def reproduced_pictures(record: IsoCalibration, found: Reproduction) -> Pictures:
+def reproduced_pictures(record: IsoCalibration, kept: Reproduction) -> Pictures:
     """Show the same piece of a real bias frame and of a simulated one, on one scale."""
-    frames, sigmas = (found.real_dn, found.simulated_dn), map(digits, found.shown_sigmas_dn)
+    frames, sigmas = (kept.real_dn, kept.simulated_dn), map(digits, kept.shown_sigmas_dn)
     planes = (
         (name, f"Piece of the {name} bias frame at ISO {record.iso:g}, standard deviation {sigma} DN.", frame)
         for name, frame, sigma in zip(("real", "simulated"), frames, sigmas, strict=True)

@@ -229,15 +229,15 @@ def _rows(comparison: Comparison) -> Table:
 def _facets(comparison: Comparison) -> dict[str, list[str]]:
     """Return the columns that images are filtered by, with their values in the order of the choice."""
     scores = [of[0] for of in comparison.images]
-    found = {
+    columns = {
         "camera": [score.camera for score in scores_in_order(scores, comparison.first.dataset)],
         "scene": sorted((score.scene for score in scores), key=natural),
     }
     if not comparison.kind.is_of_clips:
         isos, factors = zip(*(fact_cells(score, comparison.kind) for score in scores), strict=True)
         for name, cells in (("ISO", isos), ("factor", factors)):
-            found[name] = [cell.text for cell in sorted(cells, key=lambda cell: float(cell.value or 0))]
-    return {name: list(dict.fromkeys(values)) for name, values in found.items()}
+            columns[name] = [cell.text for cell in sorted(cells, key=lambda cell: float(cell.value or 0))]
+    return {name: list(dict.fromkeys(values)) for name, values in columns.items()}
 
 
 def _looking(comparison: Comparison, drawn: Sequence[DrawnImage]) -> dict[str, Any]:

@@ -189,9 +189,9 @@ def table_with_intervals(result: EvaluationResult) -> Table:
     texts = []
     for row in result.table:
         coverage, *means = row.texts(result.kind)
-        found = [result.interval(row, metric.name) for metric in metrics]
-        cells = [coverage, str(found[0].scenes)]
-        for mean, interval, metric in zip(means, found, metrics, strict=True):
+        intervals = [result.interval(row, metric.name) for metric in metrics]
+        cells = [coverage, str(intervals[0].scenes)]
+        for mean, interval, metric in zip(means, intervals, metrics, strict=True):
             cells += [mean, _interval_text(interval, metric)]
         texts.append(cells)
     names = [counted, "scenes", *(name for head in heads for name in (head, INTERVAL))]

@@ -207,9 +207,9 @@ def _slim_svg(svg: str) -> str:
     svg = re.sub(r' id="([^"]*)"', lambda match: f' id="{names[match[1]]}"', svg)
     svg = re.sub(r"#([\w.-]+)", lambda match: f"#{names.get(match[1], match[1])}", svg)
     svg = svg.replace(' xmlns:xlink="http://www.w3.org/1999/xlink"', "").replace(" xlink:href=", " href=")
-    found = 1
-    while found:
-        svg, found = re.subn(r"<g>((?:(?!</?g[ >]).)*)</g>", r"\1", svg)  # groups that say nothing
+    changes = 1
+    while changes:
+        svg, changes = re.subn(r"<g>((?:(?!</?g[ >]).)*)</g>", r"\1", svg)  # groups that say nothing
     # Neighbours of one look say so once: points, and lines that are not filled.
     point = r'<use href="[^"]*" x="[^"]*" y="[^"]*" '
     svg = re.sub(rf'{point}(style="[^"]*")/>(?:{point}\1/>)+', _group_points, svg)

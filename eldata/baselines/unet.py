@@ -16,7 +16,6 @@ from torch import nn
 
 from eldata.base.files import sha256_of
 from eldata.base.seeds import checked_seed, purpose_sequence
-from eldata.baselines.classical import decorrelation
 from eldata.baselines.tiling import tiled
 from eldata.errors import ArgumentError, DatasetError, FileError
 
@@ -166,6 +165,9 @@ def save_weights(network: nn.Module, path: Path) -> None:
 
 _NOISE_AWARE = "noise_aware.safetensors"
 _TILE, _OVERLAP = 1024, 256  # packed pixels; a quarter of the overlap is as far as the network sees
+_ROOT = 0.5**0.5
+# Orthonormal, so that white noise stays white: from R, G1, B, G2, brightness and three differences.
+_COLOURS = ((0.5, 0.5, 0.5, 0.5), (0.5, -0.5, 0.5, -0.5), (_ROOT, 0.0, -_ROOT, 0.0), (0.0, _ROOT, 0.0, -_ROOT))
 _SOFT = 8.0  # standard deviations of noise up to which details are about linear
 _REACH = 5  # of the mean that is taken off, in pixels of the halved image
 
@@ -227,9 +229,7 @@ class NoiseAwareUNet(nn.Module):
         draw_weights(self, seed)
         for last in (self.last, *(block.second for block in self.modules() if isinstance(block, _Block))):
             nn.init.zeros_(last.weight)
-        both = torch.kron(
-            torch.tensor(decorrelation(4), dtype=torch.float32), torch.from_numpy(hadamard(4, np.float32)) / 2
-        )
+        both = torch.kron(torch.tensor(_COLOURS), torch.from_numpy(hadamard(4, np.float32)) / 2)
         self.register_buffer("_matrix", both, persistent=False)
 
     def forward(self, noisy: torch.Tensor, slope: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:

@@ -159,13 +159,13 @@ def _compact_json(data: object) -> str:
 
 def html_checklist(plan: Plan) -> str:
     """Return the checklist as a page; the same plan gives the same page."""
-    from eldata.reports.html import rendered
+    from eldata.reports.html import render_page
 
     # With the line end that stands before them in the page, since the policy's hashes are of elements' whole content.
     style, script = ("\n" + (TEMPLATES / f"checklist.{suffix}").read_text(encoding="utf-8") for suffix in ("css", "js"))
     # No text in the data can close its script element.
     data = _compact_json(_page_data(plan)).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-    return rendered(
+    return render_page(
         "checklist.html",
         TEMPLATES,
         plan=plan,

@@ -417,6 +417,6 @@ def _join_alike(many: Sequence[Measure]) -> str:
 
 def write_sheet(path: Path | str, report: CheckReport) -> None:
     """Write the contact sheet of a report, whole or not at all."""
-    from eldata.reports.html import rendered
+    from eldata.reports.html import render_page
 
-    write_text(path, rendered("sheet.html", TEMPLATES, report=report, with_error=with_error))
+    write_text(path, render_page("sheet.html", TEMPLATES, report=report, with_error=with_error))

@@ -54,12 +54,12 @@ class SignalNoise:
     black: tuple[float, ...] = ()
 
     def variance(self, signal: Values) -> Values:
-        """Return the variance where the expected signal is this; below 0 it is that of no light."""
+        """Return the variance at expected signals; below 0 they count as no light."""
         return np.asarray(self.offset + self.slope * np.maximum(signal, 0.0))
 
 
 def noise_of_parameters(parameters: NoiseParameters, *, ratio: float, range_dn: float) -> SignalNoise:
-    """Return what a camera's figures make: shot noise, read and row noise, rounding.
+    """Return the line that a camera's figures make: shot noise, read and row noise, rounding.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ def noise_of_image(image: Values) -> SignalNoise:
     """
     from eldata.baselines.noise_line import noise_line
 
-    found = noise_line(image)
+    line = noise_line(image)
     # A line fitted to bright parts alone may cross 0 before black.
-    return SignalNoise(max(found.slope, 0.0), max(found.offset, found.least_variance / 4))
+    return SignalNoise(max(line.slope, 0.0), max(line.offset, line.least_variance / 4))
 
 
 _SIDE = 8  # of a patch
@@ -157,7 +157,7 @@ _REACH = 8.0  # standard deviations
 _POINTS = 400
 
 
-def stabilised(image: Values, line: SignalNoise) -> Values:
+def apply_anscombe(image: Values, line: SignalNoise) -> Values:
     """Return the transform of an image: noise of standard deviation 1 wherever its signal is.
 
     Parameters
@@ -173,12 +173,12 @@ def stabilised(image: Values, line: SignalNoise) -> Values:
     return np.asarray(2 * np.sqrt(np.maximum(counts + (3 / 8 + sigma**2), 0.0)))
 
 
-def unstabilised(values: Values, line: SignalNoise) -> Values:
+def invert_anscombe(values: Values, line: SignalNoise) -> Values:
     """Return the signals whose stabilised values have these means: the exact unbiased inverse; 0 or more."""
     if line.slope == 0:
         return np.asarray(values * np.sqrt(line.offset))
     sigma = float(np.sqrt(line.offset) / line.slope)
-    signals, expected = _table(sigma)
+    signals, expected = _tabulate_means(sigma)
     inside = np.clip(values, expected[0], expected[-1])
     counts = PchipInterpolator(expected, signals)(inside)
     beyond = values > expected[-1]
@@ -190,7 +190,7 @@ def unstabilised(values: Values, line: SignalNoise) -> Values:
 
 
 @lru_cache(maxsize=16)
-def _table(sigma: float) -> tuple[Values, Values]:
+def _tabulate_means(sigma: float) -> tuple[Values, Values]:
     """Return expected counts, ascending from 0, and E[f] of each, for a = 1."""
     signals = np.concatenate([[0.0], np.geomspace(1e-3, _LARGEST, _POINTS)])
     # f has a kink where it becomes 0, at which quadratures of higher order would be no better than this even grid.
@@ -229,7 +229,7 @@ def decorrelation(channels: int) -> Values:
     return np.asarray(dct(np.eye(channels), axis=0, norm="ortho"))
 
 
-def dct_thresholded(image: Values, line: SignalNoise) -> NDArray[np.float32]:
+def threshold_dct(image: Values, line: SignalNoise) -> NDArray[np.float32]:
     """Return a denoised copy.
 
     Parameters
@@ -243,20 +243,20 @@ def dct_thresholded(image: Values, line: SignalNoise) -> NDArray[np.float32]:
     channels = np.tensordot(matrix, image.astype(np.float32), axes=1).astype(np.float32)
     padded = np.pad(channels, ((0, 0), (_SIZE, _SIZE), (_SIZE, _SIZE)), mode="reflect")
     # Brightness decides the noise of all channels: they are sums of the same pixels.
-    brightness = _windows(padded[0]).mean(axis=(-2, -1)) / np.float32(len(image) ** 0.5)
+    brightness = _cut_windows(padded[0]).mean(axis=(-2, -1)) / np.float32(len(image) ** 0.5)
     sigma = np.sqrt(line.variance(brightness)).astype(np.float32)
     result = np.stack([_threshold(channel, sigma) for channel in padded])
     result = result[:, _SIZE:-_SIZE, _SIZE:-_SIZE]
     return np.tensordot(matrix.T, result, axes=1).astype(np.float32)
 
 
-def _windows(channel: NDArray[np.float32]) -> NDArray[np.float32]:
+def _cut_windows(channel: NDArray[np.float32]) -> NDArray[np.float32]:
     view = np.lib.stride_tricks.sliding_window_view(channel, (_SIZE, _SIZE))
     return np.ascontiguousarray(view[::_STEP, ::_STEP])
 
 
 def _threshold(channel: NDArray[np.float32], sigma: NDArray[np.float32]) -> NDArray[np.float32]:
-    coefficients = dctn(_windows(channel), axes=(-2, -1), norm="ortho")
+    coefficients = dctn(_cut_windows(channel), axes=(-2, -1), norm="ortho")
     keep = np.abs(coefficients) > _THRESHOLD * sigma[..., None, None]
     keep[..., 0, 0] = True
     coefficients *= keep
@@ -347,7 +347,7 @@ def _bm3d(image: Values, line: SignalNoise) -> Values:
 
 
 def _anscombe_bm3d(image: Values, line: SignalNoise) -> Values:
-    return unstabilised(_bm3d_of_white(stabilised(image, line)), line)
+    return invert_anscombe(_bm3d_of_white(apply_anscombe(image, line)), line)
 
 
 def _bm3d_of_white(image: Values) -> Values:
@@ -369,7 +369,7 @@ def _network(image: Values, line: SignalNoise) -> Values:
 BASELINES: Mapping[str, Baseline] = MappingProxyType(
     {
         "input": Baseline("the noisy input, amplified, nothing else", lambda image, _: image, uses_noise=False),
-        "dct": Baseline("sliding-window DCT thresholding", dct_thresholded),
+        "dct": Baseline("sliding-window DCT thresholding", threshold_dct),
         "bm3d": Baseline("BM3D with one noise level for the frame", _bm3d, needs_bm3d=True),
         "anscombe-bm3d": Baseline(
             "BM3D of stabilised values, exact unbiased inverse (A-BM3D)", _anscombe_bm3d, needs_bm3d=True

@@ -107,10 +107,10 @@ def load_exported(path: Path) -> tuple[Any, TakenInput]:
         module = torch.export.load(path, extra_files=extra).module()
     except Exception as error:  # torch.export raises what its parts raise
         raise FileError(path, f"cannot be loaded by torch.export: {first_line(error)}") from error
-    return module, _taken(path, extra[_RECORD]) if extra[_RECORD] else TakenInput()
+    return module, _read_record(path, extra[_RECORD]) if extra[_RECORD] else TakenInput()
 
 
-def _taken(path: Path, content: str | bytes) -> TakenInput:
+def _read_record(path: Path, content: str | bytes) -> TakenInput:
     content = content.encode() if isinstance(content, str) else content
     record = TextFile(f"{path}, {_RECORD}", EldataError, "export it again with save_network", content).json()
     record.schema(_SCHEMA)
@@ -123,7 +123,7 @@ def _taken(path: Path, content: str | bytes) -> TakenInput:
 
 
 def checked_window(window: int) -> int:
-    """Return a number of frames of which the middle one is predicted; raise :class:`ArgumentError` unless it is odd."""
+    """Return a window's number of frames; raise :class:`ArgumentError` unless it is odd, as its middle is predicted."""
     if checked_whole("window", window, at_least=1) % 2 == 0:
         raise ArgumentError(f"the middle frame of a window is predicted, so their number is odd; found {window}")
     return window

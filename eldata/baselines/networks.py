@@ -8,7 +8,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import warnings
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
 from pathlib import Path
@@ -19,7 +19,7 @@ import numpy as np
 from eldata.base.fields import named_object
 from eldata.base.files import sha256_of
 from eldata.baselines.exported import TakenInput, checked_window, first_line, load_exported
-from eldata.baselines.prediction_folder import ANSWERS, answer_of
+from eldata.baselines.prediction_folder import ANSWERS, probe_network
 from eldata.baselines.tiling import tiled
 from eldata.errors import ArgumentError, EldataError, FileError
 
@@ -70,12 +70,14 @@ class NetworkDenoiser:
     is_code: bool = False
 
     def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:  # noqa: ARG002 # any
-        """Return what decides its predictions."""
+        """Return the settings that decide its predictions."""
         known: dict[str, Any] = {} if self.clip is None else {"clip": self.clip}
         if self.is_code:
             frames, side = (self.window,) if self.window > 1 else (), self.multiple * -(-_SIDE // self.multiple)
             shapes = {count: (*frames, count, side, side) for count in channels}
-            known[ANSWERS] = {str(count): answer_of(self.run, shape, self.precision) for count, shape in shapes.items()}
+            known[ANSWERS] = {
+                str(count): probe_network(self.run, shape, self.precision) for count, shape in shapes.items()
+            }
         options = {name: getattr(self, name) for name in ("tile", "overlap", "multiple", "precision", "window")}
         return {**self.identity, **options, **known}
 
@@ -105,18 +107,15 @@ class _TorchRun:
         import torch
 
         numbers = torch.from_numpy(image)[None].to(self.device)
-        mixed = (
-            nullcontext()
-            if self.precision == "float32"
-            else torch.autocast(self.device.partition(":")[0], dtype=getattr(torch, self.precision))
-        )
+        mixed = None if self.precision == "float32" else getattr(torch, self.precision)
+        kind = self.device.partition(":")[0]
         try:
-            with torch.inference_mode(), mixed:
+            with torch.inference_mode(), torch.autocast(kind, dtype=mixed, enabled=mixed is not None):
                 made = self.function(numbers)
         except Exception as error:
             advice = "; take smaller tiles (--tile)" if isinstance(error, torch.OutOfMemoryError) else ""
-            raise EldataError(_failed(image, error) + advice) from error
-        return _only(made.float().cpu().numpy() if isinstance(made, torch.Tensor) else made, image)
+            raise EldataError(_describe_failure(image, error) + advice) from error
+        return _take_image(made.float().cpu().numpy() if isinstance(made, torch.Tensor) else made, image)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,15 +126,15 @@ class _OnnxRun:
         try:
             made = self.session.run(None, {self.session.get_inputs()[0].name: image[None]})[0]
         except Exception as error:  # ONNX Runtime's own classes, without a common base
-            raise EldataError(_failed(image, error)) from error
-        return _only(made, image)
+            raise EldataError(_describe_failure(image, error)) from error
+        return _take_image(made, image)
 
 
-def _only(made: Any, image: NDArray[np.float32]) -> Values:
-    """Take the one image that a network was to make of one."""
+def _take_image(made: Any, image: NDArray[np.float32]) -> Values:
+    """Take the image out of a network's batch of one."""
     if not isinstance(made, np.ndarray) or made.ndim != 4 or len(made) != 1:
-        found = getattr(made, "shape", type(made).__name__)
-        raise EldataError(f"the network is to make (1, C, h, w) of {(1, *image.shape)}; it made {found}")
+        shape = getattr(made, "shape", type(made).__name__)
+        raise EldataError(f"the network is to make (1, C, h, w) of {(1, *image.shape)}; it made {shape}")
     return np.asarray(made[0])
 
 
@@ -192,31 +191,30 @@ def load_network(
     run: Callable[[NDArray[np.float32]], Values]
     taken, is_code = TakenInput(), ":" in model and not Path(model).exists()
     if is_code:
-        module = _from_python(model, weights)
+        module = _import_network(model, weights)
         identity = {"denoiser": model}
+        run = _TorchRun(_prepare(module, where), where, precision)
         if isinstance(module, torch.nn.Module):
             identity["weights_sha256"] = _digest_of(module)
-        run = _TorchRun(_ready(module, where), where, precision)
-        if isinstance(module, torch.nn.Module):
-            taken = TakenInput(_stated(module, "window"), _stated(module, "multiple"))
+            taken = TakenInput(_read_attribute(module, "window"), _read_attribute(module, "multiple"))
     else:
         if weights is not None:
             raise ArgumentError(f"--weights goes with package.module:name; {model} holds its own")
         path = Path(model)
         if not path.is_file():
-            found = "is a folder" if path.is_dir() else "there is no such file"
-            raise FileError(path, f"{found}; give a model's file, or package.module:name")
+            problem = "is a folder" if path.is_dir() else "there is no such file"
+            raise FileError(path, f"{problem}; give a model's file, or package.module:name")
         identity = {"denoiser": path.name, "denoiser_sha256": sha256_of(path)}
         if path.suffix == ".onnx":
             beside = sorted(path.parent.glob(f"{glob.escape(path.name)}[._]data"))  # where exporters put large weights
             identity |= {file.name: sha256_of(file) for file in beside}
             if precision != "float32":
                 raise ArgumentError(f"--precision is torch's; {model} computes in the types that it was exported with")
-            run = _OnnxRun(_onnx(path, where))
+            run = _OnnxRun(_open_onnx(path, where))
         else:
-            module, taken = load_exported(path) if path.suffix == ".pt2" else (_scripted(path), taken)
-            run = _TorchRun(_ready(module, where), where, precision)
-    frames, sides = _agreed(model, taken, window, multiple)
+            module, taken = load_exported(path) if path.suffix == ".pt2" else (_load_script(path), taken)
+            run = _TorchRun(_prepare(module, where), where, precision)
+    frames, sides = _choose_sizes(model, taken, window, multiple)
     return NetworkDenoiser(run, identity, tile, overlap, sides, precision, frames, taken.clip, is_code)
 
 
@@ -232,14 +230,14 @@ def _digest_of(module: Any) -> str:
     return f"sha256:{digest.hexdigest()}"
 
 
-def _stated(module: Any, name: str) -> int | None:
-    """Return what a module's attribute says of its input, if it has one."""
-    found = getattr(module, name, None)
-    return found if isinstance(found, int) and not isinstance(found, bool) and found > 0 else None
+def _read_attribute(module: Any, name: str) -> int | None:
+    """Read a positive whole number from a module's attribute, if it has one."""
+    value = getattr(module, name, None)
+    return value if isinstance(value, int) and not isinstance(value, bool) and value > 0 else None
 
 
-def _agreed(model: str, taken: TakenInput, window: int | None, multiple: int | None) -> tuple[int, int]:
-    """Settle the window and the multiple; wanted ones must not contradict the network's."""
+def _choose_sizes(model: str, taken: TakenInput, window: int | None, multiple: int | None) -> tuple[int, int]:
+    """Choose the window and the multiple; the caller's must not contradict the network's."""
     if taken.window is not None and window not in (None, taken.window):
         what, option = f"windows of {taken.window} frames", f"--window {window}"
     elif taken.multiple is not None and multiple is not None and multiple % taken.multiple:
@@ -249,7 +247,7 @@ def _agreed(model: str, taken: TakenInput, window: int | None, multiple: int | N
     raise ArgumentError(f"{model} takes {what}, by its own account; found {option}: leave it out")
 
 
-def _ready(function: Any, device: str) -> Callable[..., Any]:
+def _prepare(function: Any, device: str) -> Callable[..., Any]:
     import torch
 
     if isinstance(function, torch.nn.Module):
@@ -260,7 +258,7 @@ def _ready(function: Any, device: str) -> Callable[..., Any]:
     return function  # type: ignore[no-any-return] # callable: checked by who loaded it
 
 
-def _scripted(path: Path) -> Any:
+def _load_script(path: Path) -> Any:
     import torch
 
     with warnings.catch_warnings():
@@ -275,7 +273,7 @@ def _scripted(path: Path) -> Any:
             ) from error
 
 
-def _onnx(path: Path, device: str) -> Any:
+def _open_onnx(path: Path, device: str) -> Any:
     try:
         import onnxruntime
     except ImportError as error:
@@ -295,11 +293,11 @@ def _onnx(path: Path, device: str) -> Any:
     return session
 
 
-def _from_python(place: str, weights: Path | str | None) -> Any:
+def _import_network(place: str, weights: Path | str | None) -> Any:
     import torch
 
-    found = named_object(place)
-    made = found() if _is_maker(place, found) else found
+    target = named_object(place)
+    made = target() if _is_maker(place, target) else target
     if not callable(made):
         raise ArgumentError(f"{place} is {type(made).__name__}, not a module or function of tensors")
     if weights is not None:
@@ -309,25 +307,26 @@ def _from_python(place: str, weights: Path | str | None) -> Any:
     return made
 
 
-def _is_maker(place: str, found: Any) -> bool:
-    """Return whether an object is called for the network, not with an image: a class, or what needs no argument."""
+def _is_maker(place: str, target: Any) -> bool:
+    """Tell a maker of networks, a class or a function without arguments, from a function of images."""
     import torch
 
-    if not callable(found) or isinstance(found, torch.nn.Module):
+    if not callable(target) or isinstance(target, torch.nn.Module):
         return False
     try:
-        parameters = signature(found).parameters.values()
+        parameters = signature(target).parameters.values()
     except ValueError:  # some functions that are not written in Python state none
-        return isinstance(found, type)
+        return isinstance(target, type)
     several = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-    needed = [one.name for one in parameters if one.default is Parameter.empty and one.kind not in several]
-    if isinstance(found, type) and needed:
+    asked = [parameter for parameter in parameters if parameter.kind not in several]
+    needed = [parameter.name for parameter in asked if parameter.default is Parameter.empty]
+    if isinstance(target, type) and needed:
         raise ArgumentError(
             f"{place} is a class whose {', '.join(needed)} nobody gives here; give an instance, or a function without "
             "arguments that makes one"
         )
     # A function of *images takes them; one whose arguments all have defaults makes a network.
-    return isinstance(found, type) or not (needed or any(one.kind is several[0] for one in parameters))
+    return isinstance(target, type) or not (needed or any(parameter.kind is several[0] for parameter in parameters))
 
 
 def _load_weights(module: Any, path: Path) -> None:
@@ -355,7 +354,7 @@ def _load_weights(module: Any, path: Path) -> None:
         raise FileError(path, f"its weights are not those of {type(module).__name__}: {first_line(error)}") from error
 
 
-def _failed(image: NDArray[np.float32], error: Exception) -> str:
+def _describe_failure(image: NDArray[np.float32], error: Exception) -> str:
     # TorchScript says what happened in the last line of a traceback of its own.
     is_trace = "TorchScript interpreter" in first_line(error)
     reason = str(error).strip().splitlines()[-1] if is_trace else first_line(error)

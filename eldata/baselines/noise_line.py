@@ -154,7 +154,7 @@ class _Windows:
         return np.array_split(places, max(1, min(most, len(places) // fewest)))
 
     def excess(self, line: NoiseLine) -> Values:
-        """Return how much more the middle frequencies hold at each place, all channels together, as a share."""
+        """Return the excess of the middle frequencies over the line at each place, as a share, over all channels."""
         share = (self.middle / line.variance(self.mean)).mean(axis=0) - 1
         return np.asarray(np.broadcast_to(share, self.mean.shape))
 
@@ -182,27 +182,29 @@ class _Windows:
         by_channel = chosen.reshape(len(chosen), -1).sum(axis=1)
         # Too few windows for a slope in each channel that has some: one offset for all.
         together = bool((by_channel[by_channel > 0] < 2 * _FEWEST_OF_CHANNEL).all())
-        groups: list[tuple[int, NDArray[np.intp]]] = [(0, one) for one in self.groups(chosen) if together]
+        groups: list[tuple[int, NDArray[np.intp]]] = [(0, group) for group in self.groups(chosen) if together]
         for number in range(0 if together else len(chosen)):
             alone = np.zeros_like(chosen)
             alone[number] = chosen[number]
             if alone.any():
-                groups += [(number, one) for one in self.groups(alone, _GROUPS_OF_CHANNEL, _FEWEST_OF_CHANNEL)]
-        windows = np.array([len(one) for _, one in groups])
-        mean, found = (np.array([of.ravel()[one].mean() for _, one in groups]) for of in (self.mean, values))
+                groups += [(number, group) for group in self.groups(alone, _GROUPS_OF_CHANNEL, _FEWEST_OF_CHANNEL)]
+        windows = np.array([len(group) for _, group in groups])
+        mean, variance = (
+            np.array([array.ravel()[group].mean() for _, group in groups]) for array in (self.mean, values)
+        )
         # Of the mean of n windows' 16 squares.
         weight = 1 / (line.variance(mean) ** 2 * 2 / (np.count_nonzero(_HIGHEST) * windows))
         channel = np.unique([number for number, _ in groups], return_inverse=True)[1]
         middle = (np.bincount(channel, weight * mean) / np.bincount(channel, weight))[channel]
         total, spread = float(weight.sum()), float(weight @ (mean - middle) ** 2)
-        least = max(float(found.min()), 1e-3 * float(found.max()))
+        least = max(float(variance.min()), 1e-3 * float(variance.max()))
         if np.all(np.bincount(channel) < 2) or not spread > 0:
-            return NoiseLine(0.0, float(weight @ found) / total, least)
-        slope = float(weight @ ((mean - middle) * found)) / spread
-        return NoiseLine(slope, float(weight @ found) / total - slope * float(weight @ mean) / total, least)
+            return NoiseLine(0.0, float(weight @ variance) / total, least)
+        slope = float(weight @ ((mean - middle) * variance)) / spread
+        return NoiseLine(slope, float(weight @ variance) / total - slope * float(weight @ mean) / total, least)
 
     def texture(self, line: NoiseLine, excess: Values, within: float) -> Values:
-        """Return what the highest frequencies of each window have of the scene, as its middle ones let expect.
+        """Estimate the scene's part in the highest frequencies of each window from its middle frequencies.
 
         Windows were chosen by their excess, so that without any texture its mean lies below 0.
         """

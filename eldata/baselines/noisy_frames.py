@@ -204,10 +204,10 @@ def line_of_profile(
             f"{path}: its white level is 1, so it holds shares of white and no DN, and the profile is in DN; "
             "leave the profile out"
         )
-    return noise_of_parameters(typical(profile, iso), ratio=ratio, range_dn=range_dn)
+    return noise_of_parameters(find_parameters(profile, iso), ratio=ratio, range_dn=range_dn)
 
 
-def typical(profile: CameraProfile, iso: float) -> NoiseParameters:
+def find_parameters(profile: CameraProfile, iso: float) -> NoiseParameters:
     """Return a profile's figures at an ISO: as measured there, else on its lines.
 
     Raises

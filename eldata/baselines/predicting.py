@@ -1,4 +1,4 @@
-"""A data set through a denoiser into a folder that :func:`eldata.evaluate` scores; what is there already is kept."""
+"""A data set through a denoiser into a folder that :func:`eldata.evaluate` scores; existing predictions are kept."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from eldata.base.numbers import counted
 from eldata.base.workers import Failed, require_files
 from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_patches
 from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames, estimate_line, line_of_profile
-from eldata.baselines.prediction_folder import ANSWERS, begun, remarks_on
+from eldata.baselines.prediction_folder import ANSWERS, begin_folder, describe_answers
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.evaluation.predictions import save_prediction, stem_of
 from eldata.evaluation.request import make_request, plan_scoring, require_pairs
@@ -54,7 +54,7 @@ class Denoiser(Protocol):
     """Whatever predicts a frame. With more than one worker it has to be picklable."""
 
     def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:
-        """Return what decides its predictions, of plain types: a folder holds those of one.
+        """Return the settings that decide its predictions, of plain types; a folder holds predictions of one denoiser.
 
         Parameters
         ----------
@@ -170,7 +170,7 @@ class PredictionReport:
     remarks: tuple[str, ...] = ()
 
     def format_text(self) -> str:
-        """Return what a command shows."""
+        """Return the lines that a command prints."""
         kept = f", {self.kept} were there" if self.kept else ""
         lines = [*self.problems, *self.remarks, f"{counted(self.written, 'frame')} predicted{kept}: {self.folder}"]
         return "\n".join(lines)
@@ -253,13 +253,13 @@ def write_predictions(
         "dark_shading": chosen.dark_shading,
         **({name: in_words(name, getattr(chosen, name)) for name in _OF_SRGB} if chosen.pixels == "srgb" else {}),
     }
-    with begun(folder, settings):
-        every = [_file_of(folder, pair, path) for pair in pairs for path in pair.frames]
+    with begin_folder(folder, settings):
+        every = [_prediction_file(folder, pair, path) for pair in pairs for path in pair.frames]
         for place in sorted({file.parent for file in every}):
             if place.is_dir():
                 remove_leftovers(place)
-        units = _units(request, pairs, folder)
-        missing = [_file_of(folder, unit.pair, path) for unit in units for path in unit.missing]
+        units = _plan_units(request, pairs, folder)
+        missing = [_prediction_file(folder, unit.pair, path) for unit in units for path in unit.missing]
         work = _Prediction(denoiser, request.files, folder, chosen, wanted_clip, dtype, request.dark_shading)
         what = "frame" if request.kind is IMAGES else "clip"
         outcomes = request.workers.attempt(work, units, label="denoising", unit=what)
@@ -272,22 +272,21 @@ def write_predictions(
         f"{paths[0]}: {reason}" if len(paths) == 1 else f"{len(paths)} {what}s, such as {paths[0]}: {reason}"
         for reason, paths in failed.items()
     )
-    return PredictionReport(folder, written, len(every) - len(missing), problems, _remarks(stated, cameras))
+    return PredictionReport(folder, written, len(every) - len(missing), problems, _collect_remarks(stated, cameras))
 
 
-def _remarks(settings: dict[str, Any], cameras: Sequence[str]) -> tuple[str, ...]:
-    """Return what the folder's settings mean for its reader."""
-    remarks = []
-    if settings.get(ANOTHER):
-        known = ", ".join(settings["noise"])
-        without = [camera for camera in cameras if camera not in settings["noise"]]
-        if without:
-            remarks.append(f"the noise of {known} was taken for frames of {', '.join(without)}, another camera")
-    return (*remarks, *remarks_on(settings.get(ANSWERS, {})))
+def _collect_remarks(settings: dict[str, Any], cameras: Sequence[str]) -> tuple[str, ...]:
+    """Collect remarks on the folder's settings for readers of the scores."""
+    remarks = describe_answers(settings.get(ANSWERS, {}))
+    without = [camera for camera in cameras if camera not in settings["noise"]] if settings.get(ANOTHER) else []
+    if not without:
+        return remarks
+    known = ", ".join(settings["noise"])
+    return (f"the noise of {known} was taken for frames of {', '.join(without)}, another camera", *remarks)
 
 
-def _units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]:
-    """Return the pairs and windows of which predictions are missing, with the clips that they are of."""
+def _plan_units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]:
+    """Plan the work: pairs and windows without all predictions, with their clips."""
     clips: dict[str, Clip] = {}
     if request.kind is not IMAGES:
         listed, first = expand(request.manifest.records, request.folder), {pair.path for pair in pairs}
@@ -296,19 +295,19 @@ def _units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]
         clips = {clip.scene: clip for clip in clips_of(rows)}
     units = []
     for pair in pairs:
-        missing = tuple(path for path in pair.frames if not _file_of(folder, pair, path).exists())
+        missing = tuple(path for path in pair.frames if not _prediction_file(folder, pair, path).exists())
         if missing:
             units.append(_Unit(pair, missing, clips.get(pair.scene)))
     return units
 
 
-def _file_of(folder: Path, pair: Pair, path: str) -> Path:
+def _prediction_file(folder: Path, pair: Pair, path: str) -> Path:
     return folder / f"{stem_of(pair.place(path))}.npy"
 
 
 @dataclass(frozen=True, slots=True)
 class _Unit:
-    """A pair, or a window of a clip, and those of its frames that are to be predicted."""
+    """A pair, or a window of a clip, and its frames without a prediction."""
 
     pair: Pair
     missing: tuple[str, ...]

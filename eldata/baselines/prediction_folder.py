@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def begun(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
+def begin_folder(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
     """Make the folder, or check that it is the same work's, and hold it as long as the block runs.
 
     Several processes may do the same work in it, such as one for each camera: they share the lock of its settings'
@@ -37,7 +37,7 @@ def begun(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
     """
     file = folder / SETTINGS
     folder.mkdir(parents=True, exist_ok=True)
-    with _alone_in(folder):
+    with _lock_folder(folder):
         remove_leftovers(folder)  # of work that was killed, perhaps before it had said what it is
         if not file.exists():
             if visible_below(folder, deep=False):
@@ -45,7 +45,7 @@ def begun(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
                     f"{folder}: holds files, and none is {SETTINGS}, so they are of another origin; give a new folder"
                 )
             write_json(file, settings)
-        elif _is_other(file, settings):
+        elif _is_other_work(file, settings):
             # Without a prediction nothing is lost if the work starts over, as with a network that is corrected.
             write_json(file, settings)
         held = file.open("rb")
@@ -54,8 +54,8 @@ def begun(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
         yield
 
 
-def _is_other(file: Path, settings: dict[str, Any]) -> bool:
-    """Return whether the folder was begun by other work that nobody does; raise if it has come to something."""
+def _is_other_work(file: Path, settings: dict[str, Any]) -> bool:
+    """Check whether other work, which nobody does now, began the folder without a prediction; raise if it has some."""
     stated = dict(TextFile(file, EldataError, "remove the folder to start again").json().data)
     given = settings.get(ANSWERS)
     is_same = is_alike(stated.get(ANSWERS), given, settings.get("precision"))
@@ -73,7 +73,7 @@ def _is_other(file: Path, settings: dict[str, Any]) -> bool:
 
 
 @contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
+def _lock_folder(folder: Path) -> Iterator[None]:
     """Wait until no other process decides here; at once where folders cannot be locked."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
@@ -97,10 +97,10 @@ _TOLERANCE = {"bfloat16": 1e-2, "float16": 1e-2}  # of the largest number; float
 _TOLERANCE_FLOAT32 = 1e-4
 
 
-def answer_of(
+def probe_network(
     run: Callable[[NDArray[np.float32]], NDArray[Any]], shape: tuple[int, ...], precision: str
 ) -> list[float] | str:
-    """Return what a network gives for a fixed input: sums over all of it, each with weights of its own.
+    """Run a network on a fixed input; return weighted sums over its output.
 
     The input, of the ``shape`` (..., h, w), grows from 0 to 1 over its columns, and has noise that goes below 0.
     """
@@ -119,7 +119,7 @@ def answer_of(
 
 
 def is_alike(found: Any, expected: Any, precision: str | None) -> bool:
-    """Return whether two answers, or all those of two folders, are those of one network."""
+    """Check whether two answers, or all answers of two folders, come from one network."""
     if isinstance(found, dict) and isinstance(expected, dict):
         keys = found.keys() | expected.keys()
         return all(is_alike(found.get(key), expected.get(key), precision) for key in keys)
@@ -129,11 +129,11 @@ def is_alike(found: Any, expected: Any, precision: str | None) -> bool:
     return bool(found == expected != _EACH_TIME)
 
 
-def remarks_on(answers: dict[str, list[float] | str]) -> tuple[str, ...]:
-    """Return what people should know of a network's answers."""
-    found = set(map(str, answers.values()))
-    if _EACH_TIME in found:
+def describe_answers(answers: dict[str, list[float] | str]) -> tuple[str, ...]:
+    """Describe a network's answers where readers of its scores should know."""
+    kinds = set(map(str, answers.values()))
+    if _EACH_TIME in kinds:
         return ("the network gives something else for the same input at each call: interrupted work cannot go on",)
-    if found == {_NOT_TAKEN}:
+    if kinds == {_NOT_TAKEN}:
         return ("the network cannot take a small fixed input, so a change of its code would not be noticed here",)
     return ()

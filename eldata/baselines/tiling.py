@@ -66,28 +66,26 @@ def tiled(
             f"{overlap}"
         )
     _, height, width = image.shape
-    whole = _extended(image, multiple)
+    whole = _extend(image, multiple)
     if not tile or (whole.shape[1] <= tile and whole.shape[2] <= tile):
-        return np.ascontiguousarray(_same_size(function(whole), whole)[:, :height, :width], dtype=np.float32)
-    rows, columns = (_places(length, min(tile, length), overlap) for length in whole.shape[1:])
+        return np.ascontiguousarray(_check_size(function(whole), whole)[:, :height, :width], dtype=np.float32)
+    rows, columns = (_place_tiles(length, min(tile, length), overlap) for length in whole.shape[1:])
     sides = tuple(min(tile, length) for length in whole.shape[1:])
-    total: NDArray[np.float32] | None = None
-    for top, row_weight in zip(rows, _fades(rows, sides[0], overlap), strict=True):
-        for left, column_weight in zip(columns, _fades(columns, sides[1], overlap), strict=True):
+    total = np.zeros((0, *whole.shape[1:]), np.float32)
+    for top, row_weight in zip(rows, _weigh_tiles(rows, sides[0], overlap), strict=True):
+        for left, column_weight in zip(columns, _weigh_tiles(columns, sides[1], overlap), strict=True):
             part = np.ascontiguousarray(whole[:, top : top + sides[0], left : left + sides[1]])
-            made = _same_size(function(part), part)
-            if total is None:
+            made = _check_size(function(part), part)
+            if not len(total):
                 total = np.zeros((len(made), *whole.shape[1:]), np.float32)
             place = total[:, top : top + sides[0], left : left + sides[1]]
             weight = np.outer(row_weight, column_weight).astype(np.float32)
             # What has no weight may be anything, NaN too.
             np.add(place, made * weight, out=place, where=weight > 0)
-    if total is None:
-        raise ArgumentError(f"an image of {image.shape} has no pixels")
     return np.ascontiguousarray(total[:, :height, :width])
 
 
-def _extended(image: NDArray[np.float32], multiple: int) -> NDArray[np.float32]:
+def _extend(image: NDArray[np.float32], multiple: int) -> NDArray[np.float32]:
     height, width = image.shape[1:]
     below, right = -height % multiple, -width % multiple
     if max(below - height, right - width) >= 0:
@@ -95,7 +93,7 @@ def _extended(image: NDArray[np.float32], multiple: int) -> NDArray[np.float32]:
     return np.pad(image, ((0, 0), (0, below), (0, right)), mode="reflect") if below or right else image
 
 
-def _same_size(made: Values, given: Values) -> Values:
+def _check_size(made: Values, given: Values) -> Values:
     if made.ndim != 3 or made.shape[1:] != given.shape[1:]:
         raise ArgumentError(
             f"of an image of {given.shape} it made {made.shape}; a denoiser keeps height and width. If it halves its "
@@ -104,14 +102,14 @@ def _same_size(made: Values, given: Values) -> Values:
     return made
 
 
-def _places(length: int, tile: int, overlap: int) -> list[int]:
-    """Return where tiles begin: as few as reach the end, the last one ending there."""
+def _place_tiles(length: int, tile: int, overlap: int) -> list[int]:
+    """List the starts of tiles: as few as reach the end, where the last one ends."""
     places = list(range(0, length - tile, tile - overlap)) if tile < length else []
     return [*places, length - tile]
 
 
-def _fades(places: list[int], tile: int, overlap: int) -> list[Values]:
-    """Return the weight of each tile along one side; those of all tiles add up to 1 everywhere."""
+def _weigh_tiles(places: list[int], tile: int, overlap: int) -> list[Values]:
+    """Return the weights of each tile along one side; over all tiles they add up to 1 everywhere."""
     margin = overlap // 4
     fading = overlap - 2 * margin
     rising = np.concatenate([np.zeros(margin), (np.arange(fading) + 0.5) / max(fading, 1)])

@@ -86,11 +86,11 @@ class UNet(nn.Module):
         self.channels, self.width, self.depth, self.window = channels, width, depth, frames
         widths = [width << level for level in range(depth + 1)]
         self.down = nn.ModuleList(
-            _two(before, after)
+            _two_convolutions(before, after)
             for before, after in zip([taken, *widths], widths)  # noqa: B905
         )
         self.up = nn.ModuleList(nn.ConvTranspose2d(2 * one, one, 2, stride=2) for one in widths[-2::-1])
-        self.merge = nn.ModuleList(_two(2 * one, one) for one in widths[-2::-1])
+        self.merge = nn.ModuleList(_two_convolutions(2 * one, one) for one in widths[-2::-1])
         self.last = nn.Conv2d(width, channels, 1)
         draw_weights(self, seed, last=(self.last,))
 
@@ -129,7 +129,7 @@ def draw_weights(network: nn.Module, seed: int, *, last: Collection[nn.Module] =
                     layer.bias.zero_()
 
 
-def _two(before: int, after: int) -> nn.Sequential:
+def _two_convolutions(before: int, after: int) -> nn.Sequential:
     return nn.Sequential(
         nn.Conv2d(before, after, 3, padding=1),
         nn.LeakyReLU(LEAK),
@@ -254,12 +254,12 @@ class NoiseAwareUNet(nn.Module):
             read = (offset / (offset + 0.1 * slope)).expand_as(levels[:, :1])
             known = torch.cat([levels / white, (white.log2() / 8).expand_as(read), read], dim=1)
             inputs = torch.cat([_SOFT * torch.asinh(details / _SOFT), known], dim=1)
-        off = self._off(inputs)
+        off = self._estimate_noise(inputs)
         with torch.autocast(noisy.device.type, enabled=False):
             off = torch.einsum("ij,nihw->njhw", matrix, off.float())
             return undo(values - nn.functional.pixel_shuffle(off, 2), slope, black)
 
-    def _off(self, inputs: torch.Tensor) -> torch.Tensor:
+    def _estimate_noise(self, inputs: torch.Tensor) -> torch.Tensor:
         """Return the 16 sums and differences of what transformed values are off by."""
         x, above = self.first(inputs), []
         for blocks, halve in zip(self.blocks, self.halved, strict=False):

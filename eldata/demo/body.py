@@ -168,7 +168,7 @@ class Body:
 
     def bias_frame(self, noise: KnownNoise, generator: np.random.Generator) -> NDArray[np.uint16]:
         """Return a frame without light, (H, W) uint16, DN."""
-        return self._digitised(self.offset_dn(noise) + temporal_noise_dn(noise, self.channel.shape, generator))
+        return self._digitise(self.offset_dn(noise) + temporal_noise_dn(noise, self.channel.shape, generator))
 
     def flat_frame(
         self, noise: KnownNoise, level_dn: float, generator: np.random.Generator, drift: float = 0.0
@@ -189,9 +189,9 @@ class Body:
         gain = noise.gain_dn_per_e
         electrons = generator.poisson(level_dn / gain * (1 + drift) * self.response * self.light)
         signal = (gain * electrons).astype(np.float32)
-        return self._digitised(self.offset_dn(noise) + temporal_noise_dn(noise, self.channel.shape, generator) + signal)
+        return self._digitise(self.offset_dn(noise) + temporal_noise_dn(noise, self.channel.shape, generator) + signal)
 
-    def _digitised(self, values_dn: NDArray[np.float32]) -> NDArray[np.uint16]:
+    def _digitise(self, values_dn: NDArray[np.float32]) -> NDArray[np.uint16]:
         np.rint(values_dn, out=values_dn)
         np.clip(values_dn, 0, self.sensor.white_level_dn, out=values_dn)
         return values_dn.astype(np.uint16)

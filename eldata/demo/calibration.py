@@ -59,55 +59,55 @@ def run_calibration_demo(
     profile, report = folder / f"{camera.name}.json", folder / "calibration.html"
     files = f"-o {shlex.quote(str(profile))} --html {shlex.quote(str(report))}"
     print(f"\n$ eldata calibrate {shlex.quote(str(data))} --camera {camera.name} {files}")
-    found = calibrate(CalibrationFrames(data, camera.name), workers=workers)
-    print(found.format_text())
-    found.profile.save(profile)
-    write_text(report, calibration_page(found))
+    calibration = calibrate(CalibrationFrames(data, camera.name), workers=workers)
+    print(calibration.format_text())
+    calibration.profile.save(profile)
+    write_text(report, calibration_page(calibration))
 
     print(f"\nfound - true, in brackets in standard errors (truth: {folder / 'truth.json'})")
-    print(against_truth(found, TextFile(folder / "truth.json", EldataError).json().data))
+    print(compare_with_truth(calibration, TextFile(folder / "truth.json", EldataError).json().data))
     print(f"\nTo look at: {report}. Took {time.perf_counter() - start:.0f} s.")
-    return found
+    return calibration
 
 
-def against_truth(found: Calibration, truth: Mapping[str, Any]) -> str:
+def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> str:
     """Return a table of the errors of a calibration.
 
     Parameters
     ----------
-    found
+    calibration
         From frames of :func:`~eldata.demo.calibration_frames.make_calibration_frames`.
     truth
         Their ``truth.json``.
     """
     header = ("ISO", "K [%]", "lambda", "sigma_TL [%]", "sigma_G [%]", "sigma_row [%]", "colour bias [DN]")
     true = {known["iso"]: known for known in truth["isos"]}
-    return text_table(header, [_errors(one, true[one.iso]) for one in found.isos], left=())
+    return text_table(header, [_error_row(record, true[record.iso]) for record in calibration.isos], left=())
 
 
-def _errors(one: IsoCalibration, true: dict[str, Any]) -> tuple[str, ...]:
+def _error_row(record: IsoCalibration, true: dict[str, Any]) -> tuple[str, ...]:
     shape = "withheld"
-    if one.tukey_lambda is not None:
-        off = one.tukey_lambda.value - true["tukey_lambda"]
-        shape = f"{off:+.4f} ({off / one.tukey_lambda.error:+.1f})"
+    if record.tukey_lambda is not None:
+        off = record.tukey_lambda.value - true["tukey_lambda"]
+        shape = f"{off:+.4f} ({off / record.tukey_lambda.error:+.1f})"
     bias = "withheld"
     # What the frames hold: the specimen's fixed pattern has a mean of its own.
     offsets = true["colour_bias_with_pattern_dn"]
-    if one.colour_bias is not None:
-        off = max((mean.value - offset for mean, offset in zip(one.colour_bias, offsets, strict=True)), key=abs)
+    if record.colour_bias is not None:
+        off = max((mean.value - offset for mean, offset in zip(record.colour_bias, offsets, strict=True)), key=abs)
         bias = f"{off:+.3f}"
     return (
-        f"{one.iso:g}",
-        "-" if one.transfer is None else _relative(one.gain, true["gain_dn_per_e"]),
+        f"{record.iso:g}",
+        "-" if record.transfer is None else _format_error(record.gain, true["gain_dn_per_e"]),
         shape,
-        _relative(one.sigma_tl_dn, true["sigma_tl_dn"]),
-        _relative(one.sigma_gauss_dn, true["sigma_gauss_dn"]),
-        _relative(one.sigma_row_dn, true["sigma_row_dn"]),
+        _format_error(record.sigma_tl_dn, true["sigma_tl_dn"]),
+        _format_error(record.sigma_gauss_dn, true["sigma_gauss_dn"]),
+        _format_error(record.sigma_row_dn, true["sigma_row_dn"]),
         bias,
     )
 
 
-def _relative(found: MeasuredFigure | None, true: float) -> str:
-    if found is None:
+def _format_error(figure: MeasuredFigure | None, true: float) -> str:
+    if figure is None:
         return "withheld"
-    return f"{100 * (found.value / true - 1):+.2f} ({(found.value - true) / found.error:+.1f})"
+    return f"{100 * (figure.value / true - 1):+.2f} ({(figure.value - true) / figure.error:+.1f})"

@@ -1,4 +1,4 @@
-"""Calibration frames of a simulated camera with known noise: real DNG files, their manifest, and the truth beside them.
+"""Calibration frames of a simulated camera with known noise: real DNG files, their manifest, and the truth.
 
 Bias frames stand at the shortest exposure. Flats are pairs of equal exposure under one constant lamp: only the time
 changes, in thirds of a stop, so that the signal is proportional to time x K over all ISOs.
@@ -182,19 +182,19 @@ def make_calibration_frames(
     """
     camera = replace(camera, sensor=replace(camera.sensor, height=size[0], width=size[1]))
     noise = tuple(camera.noise_at(iso) for iso in isos)
-    body = _body(camera.sensor, features, seed)
+    body = _draw_body(camera.sensor, features, seed)
     lamp = _lamp_e_per_s(camera, body)
     times = tuple(_flat_times_s(camera.sensor, known, lamp * _mean_light(body), flat_levels) for known in noise)
     plan = _Plan(camera, features, seed, lamp, bias_frames, noise, times)
 
     data, manifests = folder / "data" / _FOLDER, folder / "manifests"
-    shots = tuple(_shots(data, plan))
+    shots = tuple(_plan_shots(data, plan))
     manifests.mkdir(parents=True, exist_ok=True)
     try:
         for _ in workers.run(_take, shots, label="calibration frames", unit="frame"):
             pass
     finally:
-        _body.cache_clear()  # a caller's process need not keep its arrays
+        _draw_body.cache_clear()  # a caller's process need not keep its arrays
     write_json(folder / "truth.json", _truth(plan, body), indent=1)
     records = [
         FrameRecord(
@@ -215,7 +215,7 @@ def make_calibration_frames(
 
 
 @lru_cache(maxsize=1)
-def _body(sensor: Sensor, features: FixedFeatures, seed: int) -> Body:
+def _draw_body(sensor: Sensor, features: FixedFeatures, seed: int) -> Body:
     """Draw the specimen, once in each process."""
     return Body(sensor, features, np.random.default_rng([seed, 0]))
 
@@ -248,7 +248,7 @@ def _flat_times_s(sensor: Sensor, noise: KnownNoise, mean_e_per_s: float, levels
     return tuple(_TIMES_S[first + round(_RANGE_STEPS * index / (levels - 1))] for index in range(levels))
 
 
-def _shots(data: Path, plan: _Plan) -> Iterator[_Shot]:
+def _plan_shots(data: Path, plan: _Plan) -> Iterator[_Shot]:
     """Yield the frames as a photographer would take them: all bias frames, then, cap off, the flats in pairs."""
     number = 0
     roles: tuple[Literal["bias", "flat"], ...] = ("bias", "flat")
@@ -267,7 +267,7 @@ def _take(shot: _Shot) -> None:
     # 1 + the index: the specimen's own draws have 0 there.
     plan, noise = shot.plan, shot.noise
     generator = np.random.default_rng([plan.seed, 1 + shot.iso_index, shot.frame_index])
-    body = _body(plan.camera.sensor, plan.features, plan.seed)
+    body = _draw_body(plan.camera.sensor, plan.features, plan.seed)
     if shot.role == "bias":
         mosaic = body.bias_frame(noise, generator)
     else:

@@ -49,7 +49,7 @@ _INK, _PAPER = (225, 225, 225), (24, 24, 26)
 def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0, beside: str = "dct") -> dict[str, EvaluationResult]:
     """Run the demo into a folder, printing what happens; return the results of ``amplified``, ``dct`` and ``network``.
 
-    ``beside`` is the baseline that takes the place of ``dct`` beside the network.
+    ``beside`` is the baseline to compare the network with, by default ``dct``.
 
     Raises
     ------
@@ -93,13 +93,13 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0, beside: str = "dct
         results[name] = score_method(folder, name, what, None if name == INPUT else predictions / name)
 
     sheet = folder / "contact-sheet.png"
-    _draw(sheet, manifest.folder(root), predictions, results)
+    _draw_sheet(sheet, manifest.folder(root), predictions, results)
     print(f"\nTo look at: {sheet}. Scores of each image: {folder}/*.csv. Took {time.perf_counter() - start:.0f} s.")
     return results
 
 
 def score_method(folder: Path, name: str, what: str, place: Path | None) -> EvaluationResult:
-    """Score predictions of a demo's set, or with no place its input; print what is done, and write ``<name>.csv``.
+    """Score predictions of a demo's set, or with no place its input; print command and table, write ``<name>.csv``.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def known_profile(camera: SimulatedCamera, isos: Sequence[int]) -> CameraProfile
 # --- the contact sheet ------------------------------------------------------------------------------------------------
 
 
-def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, EvaluationResult]) -> None:
+def _draw_sheet(path: Path, folder: Path, predictions: Path, results: dict[str, EvaluationResult]) -> None:
     """Draw each scene once, cameras in turn, at the middle ISO and the larger factor."""
     pairs = next(iter(results.values())).units
     cameras = list(dict.fromkeys(pair.camera for pair in pairs))
@@ -179,19 +179,19 @@ def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, Evalua
         reference = read_raw(folder / str(pair.reference))
         target = packed_frame(reference, levels="published", clip="both")
         title = scene_title(int(scene.removeprefix("scene-")))
-        row = [(f"{title}, {camera}: reference, ISO 100", _middle(preview(target, reference.sensor)))]
+        row = [(f"{title}, {camera}: reference, ISO 100", _enlarge_middle(preview(target, reference.sensor)))]
         noisy = packed_frame(read_raw(folder / pair.path), levels="published", clip="both", gain=float(pair.ratio or 1))
         for name, result in results.items():
             file = (predictions / name / pair.path).with_suffix(".npy")
             prediction = noisy if name == INPUT else load_prediction(file, reference.sensor, "published")
             score = next(image for image in result.scores if image.path == pair.path)
             caption = f"{name}, ISO 1600 x200: {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
-            row.append((caption, _middle(preview(prediction * score.rescale, reference.sensor))))
+            row.append((caption, _enlarge_middle(preview(prediction * score.rescale, reference.sensor))))
         rows.append(row)
     write_contact_sheet(path, rows)
 
 
-def _middle(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _enlarge_middle(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the middle of a picture in the size of the whole, so that a difference in detail is seen."""
     size = picture.shape[1], picture.shape[0]
     left, top = ((length - length / _ENLARGED) / 2 for length in size)

@@ -41,12 +41,7 @@ _MADE = ("data", "manifests", "profiles", "predictions", "trained")
 
 
 def demo_card(
-    name: str,
-    title: str,
-    folder: str,
-    sensors: Mapping[str, Sensor],
-    records: Iterable[FrameRecord],
-    source: str,
+    name: str, title: str, folder: str, sensors: Mapping[str, Sensor], records: Iterable[FrameRecord], source: str
 ) -> Card:
     """Return the card of simulated files, taken by cameras with these sensors."""
     return Card(
@@ -160,13 +155,7 @@ def make_tree(
     return save_manifest(manifests / "eld-demo.csv", card, records)
 
 
-def make_clean(
-    folder: Path,
-    scenes: Iterable[int],
-    *,
-    size: tuple[int, int] = (512, 768),
-    seed: int = 0,
-) -> Path:
+def make_clean(folder: Path, scenes: Iterable[int], *, size: tuple[int, int] = (512, 768), seed: int = 0) -> Path:
     """Photograph scenes as a reference each, to train on; parameters as :func:`make_tree` has them.
 
     Writes ``folder/data/clean/<camera>/scene-<n>.dng``, and returns ``folder/data/clean``.

@@ -39,7 +39,3 @@ lpips = Task(
     label="LPIPS",
     version=f"torchmetrics {version('torchmetrics')}, AlexNet",
 )
-
-
-if __name__ == "__main__":  # for evaluate: as a program it says what it is
-    print(__doc__)

@@ -37,7 +37,8 @@ from eldata.base import console
 from eldata.base.fields import named_object
 from eldata.base.files import atomic_write
 from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
-from eldata.datasets import CleanFrames, DarkFrames, Noise2Noise, describe, evaluation_loader, training_loader
+from eldata.datasets import CleanClips, CleanFrames, DarkFrames, Noise2Noise
+from eldata.datasets.loading import describe, evaluation_loader, training_loader
 from eldata.datasets.rgb import raw2rgb, rgb2rgb
 from eldata.errors import ArgumentError
 from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
@@ -70,12 +71,12 @@ def run(options: argparse.Namespace) -> int:
     channels, made = sample["input"].shape[0], sample["target"].shape[0]
     network = UNet(made, inputs=channels, width=options.width, depth=options.depth, seed=options.seed)
 
-    def shown(report: EpochReport, steps: int) -> dict[str, float]:
+    def score_epoch(report: EpochReport, steps: int) -> dict[str, float]:
         is_due = options.validate and ((report.epoch + 1) % options.validate_every == 0 or report.step == steps)
         return {"items/s": report.items_per_s} | (validate(network, options, device) if is_due else {})
 
-    train(options, device, data, network, absolute_error, {"depth": options.depth}, shown)
-    return keep_and_show(options, network, channels, scored_set(options))
+    train(options, device, data, network, absolute_error, {"depth": options.depth}, score_epoch)
+    return save_and_show(options, network, channels, choose_set(options))
 
 
 def train(
@@ -102,7 +103,7 @@ def train(
     )
     is_first = not distributed.is_initialized() or distributed.get_rank() == 0
     if is_first:
-        curve = curves_in(options.output)
+        curve = open_curves(options.output)
         print(data, describe(loader), f"{sum(map(torch.numel, network.parameters())):,} parameters", sep="\n")
     try:
         for report in training.epochs(options.output / "checkpoint.pt", save_every=SAVE_EVERY):
@@ -117,10 +118,10 @@ def train(
             options.interrupted = f"{there} in {{output}}/checkpoint.pt, and the same command goes on from there"
 
 
-def keep_and_show(options: argparse.Namespace, network: torch.nn.Module, channels: int, chosen: Sequence[str]) -> int:
+def save_and_show(options: argparse.Namespace, network: torch.nn.Module, channels: int, chosen: Sequence[str]) -> int:
     """Keep a trained network, and show the commands that predict with it and score that on the ``chosen`` set."""
     if not distributed.is_initialized() or distributed.get_rank() == 0:
-        keep(network, options.output, channels, options.input_clip)
+        save_trained(network, options.output, channels, options.input_clip)
         show_next(options.output, *chosen)
     if distributed.is_initialized():
         distributed.destroy_process_group()
@@ -132,6 +133,8 @@ def keep_and_show(options: argparse.Namespace, network: torch.nn.Module, channel
 
 def training_data(options: argparse.Namespace) -> Dataset[Any]:
     """Return real pairs, synthetic ones, or both."""
+    if options.task != "raw2raw" and options.noise2noise:
+        raise ArgumentError(f"--task {options.task} has clean targets: leave --noise2noise out")
     count = options.crops_per_frame
     crops = {"crop": options.crop, "seed": options.seed}
     crops |= {"crops": "grid"} if count is None else {"crops_per_frame": count}
@@ -144,8 +147,6 @@ def training_data(options: argparse.Namespace) -> Dataset[Any]:
         parts.append(synthetic_pairs(options, crops))
     if not parts:
         raise ArgumentError("give --clean with --camera, --pairs, or both")
-    if options.task != "raw2raw" and options.noise2noise:
-        raise ArgumentError(f"--task {options.task} has clean targets: leave --noise2noise out")
     parts = [as_task(part, options) for part in parts]
     return parts[0] if len(parts) == 1 else ConcatDataset([Sides(part) for part in parts])
 
@@ -168,16 +169,16 @@ def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Datas
     if not options.camera:
         raise ArgumentError("--clean needs a camera's noise: --camera")
     source = CleanFrames(options.clean if len(options.clean) > 1 else options.clean[0], levels=options.levels)
-    noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio), "clip": options.input_clip}
-    noise["range_dn"] = options.range_dn
+    noise = {"model": make_noise(options), "ratio": tuple(options.ratio), "clip": options.input_clip}
+    noise |= {"iso": options.iso, "range_dn": options.range_dn}
     if not options.noise2noise:
         return SyntheticPairs(source, options.camera, **crops, **noise)
     count = crops.pop("crops_per_frame", 1)
-    stills = SyntheticClips(Stills(source), options.camera, frames=2, windows_per_clip=count, **crops, **noise)
+    stills = SyntheticClips(still_clips(source, 2), options.camera, frames=2, windows_per_clip=count, **crops, **noise)
     return Sides(stills, are_exposures=True)
 
 
-def noise_of(options: argparse.Namespace) -> Any:
+def make_noise(options: argparse.Namespace) -> Any:
     """Return the noise model of a spec, or a callable `package.module:name` of your own (docs/noise.md)."""
     if ":" in options.noise:
         return named_object(options.noise)
@@ -187,21 +188,9 @@ def noise_of(options: argparse.Namespace) -> Any:
     )
 
 
-class Stills:
-    """Each clean frame as a clip of some: a window has exposures of one scene, each with noise of its own."""
-
-    def __init__(self, source: CleanSource, frames: int = 2) -> None:
-        self.source, self.frames = source, frames
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def clip(self, index: int) -> Still:
-        """Return a frame, several times."""
-        return Still(self.source, index, self.frames)
-
-    def __repr__(self) -> str:
-        return f"Stills({self.source!r})"
+def still_clips(source: CleanSource, frames: int) -> CleanClips:
+    """Make a clip of each clean frame: a window has exposures of one scene, each with noise of its own."""
+    return CleanClips(Still(source, index, frames) for index in range(len(source)))
 
 
 class Still:
@@ -217,6 +206,9 @@ class Still:
     def frame(self, _: int) -> Any:
         """Return the frame."""
         return self.source.frame(self.index)
+
+    def __repr__(self) -> str:
+        return f"Still({self.source!r})"
 
 
 class Sides(Dataset[dict[str, torch.Tensor]]):
@@ -250,19 +242,19 @@ def validate(network: UNet, options: argparse.Namespace, device: torch.device) -
     protocol, scores = protocol_of_tensors(scored_protocol(options)), []
     network.eval()
 
-    def predicted(image: Any) -> Any:
+    def predict(image: Any) -> Any:
         return network(torch.from_numpy(image)[None].to(device))[0].float().cpu().numpy()
 
     with torch.inference_mode():
         for batch in evaluation_loader(pairs, workers=options.workers):
             image = batch["input"][0].numpy()
-            found = tiled(predicted, image, tile=1024, overlap=128, multiple=network.multiple)
-            scores.append(protocol_score(protocol, torch.from_numpy(found), batch["target"][0]))
-    values = {"psnr_db": [one.psnr_db for one in scores], "ssim": [one.ssim for one in scores]}
-    return {name: math.fsum(of_all) / len(scores) for name, of_all in values.items()}
+            prediction = tiled(predict, image, tile=1024, overlap=128, multiple=network.multiple)
+            scores.append(protocol_score(protocol, torch.from_numpy(prediction), batch["target"][0]))
+    values = {"psnr_db": [score.psnr_db for score in scores], "ssim": [score.ssim for score in scores]}
+    return {name: math.fsum(column) / len(scores) for name, column in values.items()}
 
 
-def keep(network: Any, folder: Path, channels: int, clip: Clip) -> None:
+def save_trained(network: Any, folder: Path, channels: int, clip: Clip) -> None:
     """Write a trained network for `eldata predict`, and its weights."""
     traits = {"multiple": network.multiple, "window": network.window}
     save_network(network, folder / "model.pt2", channels=channels, clip=clip, **traits)
@@ -270,8 +262,8 @@ def keep(network: Any, folder: Path, channels: int, clip: Clip) -> None:
         torch.save(network.state_dict(), file)
 
 
-def scored_set(options: argparse.Namespace) -> list[str]:
-    """Return the options by which eldata names the set to score on: that of the validation, else ELD."""
+def choose_set(options: argparse.Namespace) -> list[str]:
+    """Return the options that name the set to score on: the validation's, else ELD."""
     name = options.validate or "eld"
     chosen = ["--manifest" if Path(name).suffix == ".csv" else "--dataset", name]
     chosen += ["--root", options.root] if options.root else []
@@ -288,8 +280,8 @@ def show_next(folder: Path, *chosen: str) -> None:
     print("$", shlex.join(["eldata", "evaluate", made, *chosen]))
 
 
-def curves_in(folder: Path) -> Callable[[str, float, int], object]:
-    """Return what takes a curve's name, value and step: TensorBoard's writer, if it is installed."""
+def open_curves(folder: Path) -> Callable[[str, float, int], object]:
+    """Open TensorBoard's writer, if it is installed; return a function of a curve's name, value and step."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:

@@ -29,7 +29,7 @@ _SMALL = (
 def train_on_demo(
     folder: Path, results: Mapping[str, EvaluationResult], *, scenes: int, seed: int = 0, epochs: int = 20
 ) -> EvaluationResult:
-    """Train a network on a demo's cameras and other scenes, score it beside the others, and print what happens.
+    """Train a network on a demo's cameras and other scenes, score it like the others, and print what happens.
 
     Parameters
     ----------
@@ -67,9 +67,9 @@ def train_on_demo(
     print(report.format_text())
     if report.problems:
         raise EldataError("the trained network could not be run over the demo's files")
-    found = score_method(folder, TRAINED, f"the network that scenes {first} to {last} have trained", predictions)
-    for name, result in (*results.items(), (TRAINED, found)):
+    trained = score_method(folder, TRAINED, f"the network that scenes {first} to {last} have trained", predictions)
+    for name, result in (*results.items(), (TRAINED, trained)):
         print(f"{name:<10} {result.psnr_db:6.2f} dB  SSIM {result.ssim:.3f}")
-    gain_db = found.psnr_db - results[INPUT].psnr_db
+    gain_db = trained.psnr_db - results[INPUT].psnr_db
     print(f"{TRAINED}: {abs(gain_db):.2f} dB {'above' if gain_db > 0 else 'below'} the {INPUT} input.")
-    return found
+    return trained

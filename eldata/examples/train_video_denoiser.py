@@ -28,12 +28,12 @@ from eldata.datasets import CleanClips, CleanFrames
 from eldata.datasets.packed import PackedClips
 from eldata.errors import ArgumentError
 from eldata.examples.train_denoiser import (
-    Stills,
     add_training_options,
-    keep_and_show,
-    noise_of,
+    make_noise,
     program,
+    save_and_show,
     start_ranks,
+    still_clips,
     train,
 )
 
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     settings = {"consistency": options.consistency, "frames": options.frames, "depth": options.depth}
     train(options, device, data, network, loss, settings, lambda *_: {})
     scored = ("--dataset", "drv") if channels == 3 else ("--manifest", "drv-raw.csv")
-    return keep_and_show(options, network, channels, scored)
+    return save_and_show(options, network, channels, scored)
 
 
 def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:
@@ -77,10 +77,10 @@ def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:
     if not (options.clean and options.camera):
         raise ArgumentError("give --clean with --camera, or --clips")
     if options.still:
-        source: Any = Stills(CleanFrames(options.clean, levels=options.levels), frames)
+        source = still_clips(CleanFrames(options.clean, levels=options.levels), frames)
     else:
         source = CleanClips(options.clean, levels=options.levels)
-    noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio)}
+    noise = {"model": make_noise(options), "iso": options.iso, "ratio": tuple(options.ratio)}
     noise["range_dn"] = options.range_dn
     windows = {"frames": frames, "windows_per_clip": options.crops_per_clip}
     return SyntheticClips(source, options.camera, **windows, **crops, **noise)

@@ -278,7 +278,7 @@ def _scores(img: torch.Tensor, img2: torch.Tensor, protocol: str, column: str) -
 
 
 def register(package: str = "basicsr") -> None:
-    """Put the datasets and the metrics into a package's registries: BasicSR's, or those of a copy such as ``led``.
+    """Put the datasets and the metrics into the registries of BasicSR, or of a copy such as ``led``.
 
     Call it before the training code builds its datasets. What is there already is left.
 

@@ -177,7 +177,7 @@ def expose_compiled(
 
 
 def _figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool) -> NDArray[np.void]:
-    """Collect what is drawn for each packed channel of each image, (N, C)."""
+    """Collect the figures of each packed channel of each image, (N, C)."""
     figures = np.empty((len(draws), channels), FIGURES)
     for name in PARAMETERS:
         figures[name] = np.array([getattr(draw.parameters, name) for draw in draws])[:, None]
@@ -326,12 +326,8 @@ def _add_noise_rows(
         for row in range(first_row, last_row, together):
             count = min(together, last_row - row)
             begin, size = row * columns + start, count * width
-            high, low, rest_number, dither = (
-                integers[0, :size],
-                integers[1, :size],
-                integers[2, :size],
-                integers[3, :size],
-            )
+            high, low = integers[0, :size], integers[1, :size]
+            rest_number, dither = integers[2, :size], integers[3, :size]
             digits, coarse, fine = integers[4, :size], integers[5, :size], integers[6, :size]
             mean, value, rest = floats[0, :size], floats[1, :size], floats[2, :size]
             offset, noise, tail = floats[3, :size], floats[4, :size], floats[5, :size]

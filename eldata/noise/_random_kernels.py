@@ -147,7 +147,7 @@ _SIN_3, _SIN_4 = _F(-76.58139641), _F(39.76161703)
 
 
 @kernel
-def _mixed(z: Any) -> Any:
+def _mix(z: Any) -> Any:
     z = (z ^ (z >> _S30)) * _MIX_1
     z = (z ^ (z >> _S27)) * _MIX_2
     return z ^ (z >> _S31)
@@ -156,12 +156,12 @@ def _mixed(z: Any) -> Any:
 @kernel
 def stream(key: Any, image: Any, component: int) -> Any:
     """Return the two keys of a stream."""
-    z = _mixed(_mixed(_mixed(key + _WEYL) + _U8(image) * _WEYL) + _U8(component + 1) * _WEYL)
-    return z, _mixed(z + _WEYL)
+    z = _mix(_mix(_mix(key + _WEYL) + _U8(image) * _WEYL) + _U8(component + 1) * _WEYL)
+    return z, _mix(z + _WEYL)
 
 
 @kernel
-def _finished(z: Any, second: Any) -> Any:
+def _finish_word(z: Any, second: Any) -> Any:
     """SplitMix64's output function, with a second key between its two multiplications.
 
     The second key makes each stream another function, where plain SplitMix64 has one cycle that streams could share.
@@ -174,7 +174,7 @@ def _finished(z: Any, second: Any) -> Any:
 @kernel
 def word_of(first: Any, second: Any, counter: Any) -> Any:
     """Return word ``counter`` of a stream."""
-    return _finished(first + counter * _WEYL, second)
+    return _finish_word(first + counter * _WEYL, second)
 
 
 @kernel
@@ -182,7 +182,7 @@ def words(high: NDArray[np.uint32], low: NDArray[np.uint32], first: Any, second:
     """Write consecutive words, in halves: what follows is then 32-bit vector code."""
     state = first + counter * _WEYL
     for j in range(high.size):
-        word = _finished(state, second)
+        word = _finish_word(state, second)
         high[j] = _U4(word >> _S32)
         low[j] = _U4(word)
         state += _WEYL

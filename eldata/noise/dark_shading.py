@@ -367,7 +367,7 @@ class DarkShading:
 
 
 def _read(path: Path) -> tuple[DarkShading, str]:
-    """Read a shading, and the digest that its file states; what is declared is checked before it is loaded."""
+    """Read a shading and the digest that its file states; declared sizes are checked before anything is loaded."""
 
     def array(name: str, dtype: str, *shape: int) -> NDArray[Any]:
         def check(header: Declared) -> None:
@@ -425,14 +425,14 @@ def dark_shading_in(path: Path) -> DarkShading:
         status = path.stat()
     except OSError as error:
         raise ShadingError(path, f"cannot be read: {error.strerror or error}") from error
-    return _loaded(path, status.st_mtime_ns, status.st_size)
+    return _load_cached(path, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=1)
-def _loaded(path: Path, *_: int) -> DarkShading:
+def _load_cached(path: Path, *_: int) -> DarkShading:
     return DarkShading.load(path)
 
 
 def _rows(values: NDArray[Any]) -> NDArray[Any]:
-    """Return an array as its rows: what is done to one at a time takes no memory."""
+    """Return an array as its rows: work on one row at a time takes no memory."""
     return values.reshape(-1, values.shape[-1])

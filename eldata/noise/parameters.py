@@ -214,7 +214,7 @@ def tukey_lambda_variance(tukey_lambda: float) -> float:
 # --- random numbers -------------------------------------------------------------------------------------------------
 
 
-def _checked(generator: Generator) -> None:
+def _check_generator(generator: Generator) -> None:
     torch = sys.modules.get("torch")
     kinds = (np.random.Generator,) if torch is None else (np.random.Generator, torch.Generator)
     if not isinstance(generator, kinds):
@@ -226,7 +226,7 @@ def _checked(generator: Generator) -> None:
 
 def draw_numbers(generator: Generator) -> tuple[list[float], list[float]]:
     """Return two draws from [0, 1) and three standard normal ones, float64: what one draw of parameters takes."""
-    _checked(generator)
+    _check_generator(generator)
     if isinstance(generator, np.random.Generator):
         return generator.random(2).tolist(), generator.standard_normal(3).tolist()
     import torch
@@ -240,7 +240,7 @@ def draw_numbers(generator: Generator) -> tuple[list[float], list[float]]:
 
 def key_from(generator: Generator) -> int:
     """Return a 63-bit key for a counter-based generator."""
-    _checked(generator)
+    _check_generator(generator)
     if isinstance(generator, np.random.Generator):
         return int(generator.integers(2**63 - 1))
     import torch

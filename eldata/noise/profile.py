@@ -400,16 +400,17 @@ class CameraProfile:
     def _repr_html_(self) -> str:
         titles = ["ISO", "K [DN/e⁻]", "λ", *(f"σ {name} [DN]" for name in SIGMAS)]
         titles += [f"bias {name} [DN]" for name in ("R", "G1", "B", "G2")]
-        columns: dict[str, list[str]] = {title: [] for title in titles}
+        cells: list[list[str]] = []
         for row in self.rows:
             figures = row.gain_dn_per_e, row.tukey_lambda, row.sigma_tl_dn, row.sigma_gauss_dn, row.sigma_row_dn
-            cells = ["" if value is None else f"{value:.4g}" for value in (*figures, *row.colour_bias_dn)]
-            for title, cell in zip(titles, ["" if row.iso is None else f"{row.iso:g}", *cells], strict=True):
-                columns[title].append(cell)
-        known = {title: cells for title, cells in columns.items() if any(cells)}
-        rows = [tuple(cell or "-" for cell in row) for row in zip(*known.values(), strict=True)]
+            texts = ["" if value is None else f"{value:.4g}" for value in (*figures, *row.colour_bias_dn)]
+            cells.append(["" if row.iso is None else f"{row.iso:g}", *texts])
+        known = [place for place, column in enumerate(zip(*cells, strict=True)) if any(column)]
+        rows = [tuple(row[place] or "-" for place in known) for row in cells]
         notes = (self.source, *self.notes)
-        return block(f"Camera profile of {self.camera}", table(tuple(known), rows, left=()), notes=notes)
+        return block(
+            f"Camera profile of {self.camera}", table([titles[place] for place in known], rows, left=()), notes=notes
+        )
 
     @property
     def gain_modes(self) -> tuple[GainMode, ...]:

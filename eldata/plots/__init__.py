@@ -1,1 +1,1 @@
-"""Drawings of plain numbers, for pages and for notebooks: what is measured, and what it means, others say."""
+"""Drawings of plain numbers, for pages and for notebooks; other rooms measure and explain."""

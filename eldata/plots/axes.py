@@ -79,7 +79,7 @@ class TransferLine(Protocol):
         """Return signal, variance and its standard error of at most so many points."""
 
 
-def styled(theme: Theme, **more: Any) -> AbstractContextManager[None]:
+def use_style(theme: Theme, **more: Any) -> AbstractContextManager[None]:
     """Return the context in which figures of a theme are made, with more of matplotlib's settings."""
     inked = ("axes.edgecolor", "axes.labelcolor", "legend.labelcolor", "text.color", "xtick.color", "ytick.color")
     style = {"grid.color": theme.grid} | dict.fromkeys(inked, theme.ink) | more
@@ -169,15 +169,15 @@ def legend_above(axes: Axes, *, middle: float = 0.45, most: int = 4, handle: flo
         axes.set_title(axes.get_title(), pad=8 + _LEGEND_ROW * rows)
 
 
-def evenly(size: int, most: int) -> NDArray[np.int64]:
+def spread_evenly(size: int, most: int) -> NDArray[np.int64]:
     """Return which of ``size`` values to draw: ``most`` of them at most, evenly spread."""
     return np.linspace(0, size - 1, min(size, most)).round().astype(np.int64)
 
 
-def thinned(size: int) -> NDArray[np.int64]:
+def thin_out(size: int) -> NDArray[np.int64]:
     """Return which of many ordered values to draw: a few hundred evenly, and the tails in full."""
     tail = np.arange(min(size, _TAIL_SHOWN))
-    return np.unique(np.concatenate([evenly(size, _POINTS_SHOWN), tail, size - 1 - tail]))
+    return np.unique(np.concatenate([spread_evenly(size, _POINTS_SHOWN), tail, size - 1 - tail]))
 
 
 # --- calibrated figures -------------------------------------------------------------------------------------------
@@ -278,15 +278,15 @@ class Drawing(Figure):
 
 
 def drawn_into(axes: Axes | None, title: str, draw: Callable[[Axes, Theme], object]) -> Figure:
-    """Draw into somebody's axes, in their style, or into those of a new figure; return the figure."""
+    """Draw into the caller's axes, in their style, or into a new figure; return the figure."""
     if axes is None:
         return drawn_grid("", [(title, draw)])
     axes.set_title(drawable(title), parse_math=False)
     draw(axes, LIGHT)
-    found = axes.get_figure(root=True)
-    if found is None:
+    figure = axes.get_figure(root=True)
+    if figure is None:
         raise ArgumentError("ax is in no figure: it was removed from its own")
-    return found
+    return figure
 
 
 def drawn_grid(title: str, draws: Sequence[tuple[str, Callable[[Axes, Theme], object]]]) -> Drawing:
@@ -294,7 +294,7 @@ def drawn_grid(title: str, draws: Sequence[tuple[str, Callable[[Axes, Theme], ob
     columns = min(len(draws), 3 if len(draws) != 4 else 2)
     rows = -(-len(draws) // columns)
     width, height = SIZE_INCHES
-    with styled(LIGHT, **{"figure.facecolor": "white"}):
+    with use_style(LIGHT, **{"figure.facecolor": "white"}):
         made = Drawing(figsize=(width * columns, height * rows), layout="constrained")
         if title:
             made.suptitle(drawable(title), parse_math=False)
@@ -308,7 +308,7 @@ def drawn_grid(title: str, draws: Sequence[tuple[str, Callable[[Axes, Theme], ob
 
 
 def drawable(text: str, longest: int = 120) -> str:
-    """Return a text of at most so many letters, with a box in place of those that the plots' font lacks."""
+    """Return a text of at most so many letters, with a box for each letter that the plots' font lacks."""
     text = text if len(text) <= longest else f"{text[: longest - 1]}…"
     font = get_font(findfont("DejaVu Sans"))
     return "".join(letter if letter == "\n" or font.get_char_index(ord(letter)) else "□" for letter in text)

@@ -1,4 +1,4 @@
-"""Arrays as pictures: beside each other in a figure, as small JPEGs, as greys and as colours of errors."""
+"""Arrays as pictures: side by side in a figure, as small JPEGs, as greys and as colours of errors."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def thumbnail(pixels: NDArray[np.uint8], most: int) -> bytes:
     image = Image.fromarray(np.ascontiguousarray(pixels))
     image = image.reduce(max(1, -(-max(image.size) // most)))
     for quality in (85, 70, 50, 30):
-        jpeg = _encoded(image, format="JPEG", quality=quality)
+        jpeg = _encode(image, format="JPEG", quality=quality)
         if len(jpeg) <= _MOST_BYTES:
             break
     return jpeg
@@ -60,7 +60,7 @@ def thumbnail(pixels: NDArray[np.uint8], most: int) -> bytes:
 
 def jpeg_of(pixels: NDArray[np.uint8], quality: int) -> bytes:
     """Return (h, w, 3) as a JPEG whose colours are as fine as its brightness: noise of single pixels stays."""
-    return _encoded(Image.fromarray(np.ascontiguousarray(pixels)), format="JPEG", quality=quality, subsampling=0)
+    return _encode(Image.fromarray(np.ascontiguousarray(pixels)), format="JPEG", quality=quality, subsampling=0)
 
 
 def grey_png(values: NDArray[Any], low: float, high: float) -> bytes:
@@ -68,10 +68,10 @@ def grey_png(values: NDArray[Any], low: float, high: float) -> bytes:
     span = high - low if high > low else 1.0
     steps = np.rint(np.clip((values - low) / span, 0, 1) * (_GREYS - 1))
     pixels = np.rint(steps * (255 / (_GREYS - 1))).astype(np.uint8)
-    return _encoded(Image.fromarray(pixels), format="PNG", optimize=True)
+    return _encode(Image.fromarray(pixels), format="PNG", optimize=True)
 
 
-def _encoded(image: Image.Image, **options: Any) -> bytes:
+def _encode(image: Image.Image, **options: Any) -> bytes:
     buffer = io.BytesIO()
     image.save(buffer, **options)
     return buffer.getvalue()
@@ -81,7 +81,7 @@ def _encoded(image: Image.Image, **options: Any) -> bytes:
 
 
 def block_means(values: NDArray[Any], step: int) -> NDArray[Any]:
-    """Return means of blocks of so many rows and columns of (..., h, w); what is left over at the ends is cut off."""
+    """Return means of blocks of so many rows and columns of (..., h, w); incomplete blocks at the ends are cut off."""
     height, width = (length // step * step for length in values.shape[-2:])
     cut = values[..., :height, :width]
     blocks = cut.reshape(*values.shape[:-2], height // step, step, width // step, step)

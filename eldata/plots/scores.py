@@ -37,22 +37,16 @@ class Strip:
 
 
 def draw_points(axes: Axes, points: Sequence[tuple[float | None, float, float]], theme: Theme, *, alpha: float) -> None:
-    """Draw points (factor, x, y), those of each factor alike, with a legend of the factors."""
+    """Draw points (factor, x, y), with a look and a legend entry for each factor."""
     ratios = sorted({ratio for ratio, _, _ in points}, key=lambda ratio: ratio or 0.0)
     for index, ratio in enumerate(ratios):
-        members = [(x, y) for of, x, y in points if of == ratio]
-        axes.plot(
-            [x for x, _ in members],
-            [y for _, y in members],
-            linestyle="none",
-            alpha=alpha,
-            **look_of_factor(index, ratio, theme),
-        )
+        xs, ys = zip(*((x, y) for factor, x, y in points if factor == ratio), strict=True)
+        axes.plot(xs, ys, linestyle="none", alpha=alpha, **look_of_factor(index, ratio, theme))
     legend_of_factors(axes, ratios)
 
 
 def strips(axes: Axes, values: Sequence[Strip], theme: Theme) -> None:
-    """Draw the values of each group and factor in a column of their own, beside each other by factor."""
+    """Draw the values of each group and factor in a column of their own, the factors of a group side by side."""
     groups = list(dict.fromkeys(strip.group for strip in values))
     ratios = sorted({strip.ratio for strip in values}, key=lambda ratio: -1.0 if ratio is None else ratio)
     width = 0.8 / len(ratios)
@@ -94,7 +88,7 @@ def _mean_bar(axes: Axes, x: float, half: float, mean: Mean, theme: Theme) -> No
 
 
 def look_of_factor(index: int, ratio: float | None, theme: Theme) -> dict[str, Any]:
-    """Return how the points of a factor look; ``index`` is its place among the factors."""
+    """Choose the look of a factor's points; ``index`` is its place among the factors."""
     colours = (theme.found, theme.theory, *theme.channels[1:])
     return {
         "color": colours[index % len(colours)],

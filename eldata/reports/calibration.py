@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.numbers import counted
 from eldata.reports import calibration_iso as drawn
-from eldata.reports.calibration_iso import estimated
+from eldata.reports.calibration_iso import format_figure
 from eldata.reports.calibration_joint import joint_plots
-from eldata.reports.html import digits, grouped, measured, rendered, typeset
+from eldata.reports.html import digits, format_count, format_measured, join_words, render_page, typeset
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -52,7 +52,7 @@ _READ_NOISE = {
 def calibration_page(calibration: Calibration) -> str:
     """Return the page; the same calibration gives the same text."""
     isos = calibration.all_isos
-    return rendered(
+    return render_page(
         "calibration.html",
         calibration=calibration,
         verdict=_verdict(calibration),
@@ -82,13 +82,13 @@ def _verdict(calibration: Calibration) -> str:
     """Say in sentences how much was measured, and why there is no profile if there is none."""
     isos = calibration.all_isos
     where = f"ISO {isos[0].iso:g}" if len(isos) == 1 else f"{len(isos)} ISOs from {isos[0].iso:g} to {isos[-1].iso:g}"
-    gains = [one.gain_dn_per_e for one in isos if one.gain_dn_per_e is not None]
+    gains = [record.gain_dn_per_e for record in isos if record.gain_dn_per_e is not None]
     if gains:
         low, high, missing = digits(min(gains)), digits(max(gains)), len(isos) - len(gains)
         of_gain = f", K is {low} DN/e⁻" if low == high else f", K from {low} to {high} DN/e⁻"
         of_gain += f", not given at {missing} of them" if missing else ""
     else:
-        is_withheld = any("gain" in one.withheld for one in isos)
+        is_withheld = any("gain" in record.withheld for record in isos)
         of_gain = f"; K is {'withheld' if is_withheld else 'not known, for want of flats'}"
     of_profile = f" No profile can be made: {calibration.no_profile}." if calibration.no_profile else ""
     return f"{where}{of_gain}.{of_profile}"
@@ -96,7 +96,7 @@ def _verdict(calibration: Calibration) -> str:
 
 def _wary(calibration: Calibration) -> str:
     """Say in a sentence where there is something to be wary of; empty if nowhere."""
-    places = [f"ISO {one.iso:g}" for one in calibration.all_isos if one.all_remarks]
+    places = [f"ISO {record.iso:g}" for record in calibration.all_isos if record.all_remarks]
     if not places and not calibration.remarks:
         return ""
     if len(places) == len(calibration.all_isos) > 1:
@@ -104,46 +104,42 @@ def _wary(calibration: Calibration) -> str:
     elif len(places) > 3:
         places = [f"{len(places)} of {len(calibration.all_isos)} ISOs"]
     places += ["the calibration as a whole"] if calibration.remarks else []
-    return f"{counted(len(calibration.all_remarks), 'remark')}, on {_and(places)}."
+    return f"{counted(len(calibration.all_remarks), 'remark')}, on {join_words(places)}."
 
 
 def _by_iso(items: Iterable[tuple[Any, IsoGain]]) -> dict[Any, str]:
     """List each item once, with its ISOs."""
     isos: dict[Any, list[str]] = {}
-    for item, one in items:
-        isos.setdefault(item, []).append(f"{one.iso:g}")
-    return {item: f"ISO {_and(names)}" for item, names in isos.items()}
+    for item, record in items:
+        isos.setdefault(item, []).append(f"{record.iso:g}")
+    return {item: f"ISO {join_words(names)}" for item, names in isos.items()}
 
 
 def _symbols(effect: Effect, isos: Sequence[IsoGain]) -> str:
     """List the symbols of figures that are withheld, or have a larger error, with their ISOs; empty if none."""
-    symbols = _by_iso((one.symbols(effect), one) for one in isos)
+    symbols = _by_iso((record.symbols(effect), record) for record in isos)
     return "; ".join(f"{names} at {where}" for names, where in symbols.items() if names)
 
 
 def _remarks(calibration: Calibration) -> list[tuple[str, str, Effect]]:
     """List ISOs (empty: of the whole), remark, and what becomes of figures, gravest first, each remark once."""
-    of_isos = _by_iso((remark, one) for one in calibration.all_isos for remark in _remarks_on(one))
+    of_isos = _by_iso((remark, record) for record in calibration.all_isos for remark in _remarks_on(record))
     remarks: list[tuple[str, str, Effect]] = [(where, *remark) for remark, where in of_isos.items()]
     remarks += [("", remark, "remark") for remark in calibration.remarks]
     return sorted(remarks, key=lambda remark: _GRAVEST.index(remark[2]))
 
 
-def _remarks_on(one: IsoGain) -> list[tuple[str, Effect]]:
-    of_findings = [(finding.remark, finding.effect) for finding in one.findings]
-    return [*of_findings, *((remark, "remark") for remark in one.remarks)]
-
-
-def _and(items: Sequence[str]) -> str:
-    return " and ".join([", ".join(items[:-1]), items[-1]]) if len(items) > 1 else items[0]
+def _remarks_on(record: IsoGain) -> list[tuple[str, Effect]]:
+    of_findings = [(finding.remark, finding.effect) for finding in record.findings]
+    return [*of_findings, *((remark, "remark") for remark in record.remarks)]
 
 
 def _made_from(calibration: Calibration) -> str:
     isos = calibration.all_isos
-    sizes = sorted({(one.sensor.width, one.sensor.height) for one in isos})
-    shapes = _and([f"{width} × {height}" for width, height in sizes])
-    bias, flat = sum(one.bias_frames for one in calibration.isos), sum(one.flat_frames for one in isos)
-    kept = sum(one.reproduction is not None for one in calibration.isos)
+    sizes = sorted({(record.sensor.width, record.sensor.height) for record in isos})
+    shapes = join_words([f"{width} × {height}" for width, height in sizes])
+    bias, flat = sum(record.bias_frames for record in calibration.isos), sum(record.flat_frames for record in isos)
+    kept = sum(record.reproduction is not None for record in calibration.isos)
     frames = f"{bias} bias and {flat} flat frames of {shapes} pixels"
     return f"{frames}, and compared with {counted(kept, 'more bias frame')}" if kept else frames
 
@@ -153,16 +149,15 @@ def _made_from(calibration: Calibration) -> str:
 
 def _sections(calibration: Calibration) -> list[tuple[str, str, list[tuple[str, Effect]], list[dict[str, Any]]]]:
     """List ISO, summary, remarks and groups of each ISO, ascending."""
-    groups = {one.iso: [_gain(one)] for one in calibration.gains}
+    groups = {record.iso: [_gain(record)] for record in calibration.gains}
     summaries = dict.fromkeys(groups, "")
-    for one in calibration.isos:
-        figures = (one.figures[name] for name in _SUMMARY)
-        summaries[one.iso] = "".join(
+    for record in calibration.isos:
+        figures = (record.figures[name] for name in _SUMMARY)
+        summaries[record.iso] = "".join(
             f", {typeset(figure.label)} {_alone(figure, 3 if figure.unit else 2)}" for figure in figures
         )
-        groups[one.iso] = [
-            *(_gain(one), _colour_bias(one), _rows(one), _read_noise(one), _reproduction(one), _pattern(one))
-        ]
+        kinds = (_gain, _colour_bias, _rows, _read_noise, _reproduction, _pattern)
+        groups[record.iso] = [gather(record) for gather in kinds]
     sections = []
     for each in calibration.all_isos:
         gain = "K not known" if each.gain_text == "-" else f"K {_alone(each.gain)}"
@@ -178,7 +173,7 @@ def _alone(figure: MeasuredFigure | None, count: int = 3) -> str:
 
 
 def _group(
-    one: IsoGain,
+    record: IsoGain,
     title: str,
     numbers: Rows,
     *quantities: Quantity,
@@ -186,98 +181,95 @@ def _group(
     pictures: Sequence[Pictures] = (),
     note: str = "",
 ) -> dict[str, Any]:
-    """Gather what is shown of one kind of noise, and why its quantities are not given, or with which error."""
+    """Gather numbers, plots and pictures of one kind of noise, and why its quantities are withheld or less exact."""
     effect: Effect = "remark"
-    if why := one.why(*quantities):
+    if why := record.why(*quantities):
         note, effect = f"Withheld: {why.rstrip('.')}.", "withheld"
-    elif why := one.why(*quantities, effect="wider"):
+    elif why := record.why(*quantities, effect="wider"):
         note, effect = f"Errors made larger: {why.rstrip('.')}.", "wider"
     shown = {"numbers": numbers, "plots": plots, "pictures": pictures}
     return {"title": title, **shown, "note": note, "effect": effect}
 
 
-def _figures(one: IsoCalibration, labels: Mapping[str, str]) -> Rows:
+def _figures(record: IsoCalibration, labels: Mapping[str, str]) -> Rows:
     """Write figures with their errors; one that never has any is left out where it is not known."""
-    figures = [(label, one.figures[name]) for name, label in labels.items()]
+    figures = [(label, record.figures[name]) for name, label in labels.items()]
     return [
-        (label, estimated(figure) if figure.decimals is None else _alone(figure, 6 if "R²" in label else 3) + unit)
+        (label, format_figure(figure) if figure.decimals is None else _alone(figure, 6 if "R²" in label else 3) + unit)
         for label, figure in figures
         for unit in [f" {figure.unit}".rstrip()]
         if figure.decimals is None or not math.isnan(figure.value)
     ]
 
 
-def _by_channel(template: str, one: IsoGain, values: Iterable[str]) -> Rows:
+def _by_channel(template: str, record: IsoGain, values: Iterable[str]) -> Rows:
     """Give each CFA channel's text the template's name for it."""
-    return [(template.format(name), value) for name, value in zip(one.channels, values, strict=True)]
+    return [(template.format(name), value) for name, value in zip(record.channels, values, strict=True)]
 
 
-def _gain(one: IsoGain) -> dict[str, Any]:
-    title, transfer = "System gain K", one.transfer
-    numbers = [] if transfer is None and one.gain is None else [("K [DN/e⁻]", estimated(one.gain, ""))]
+def _gain(record: IsoGain) -> dict[str, Any]:
+    title, transfer = "System gain K", record.transfer
+    numbers = [] if transfer is None and record.gain is None else [("K [DN/e⁻]", format_figure(record.gain, ""))]
     if transfer is None:
         note = "There are no pairs of equal flats of this ISO, so K is not known and there is no photon transfer line."
         if numbers:
             note = "K is stated: there is no photon transfer line that gives it."
-        return _group(one, title, numbers, "gain", note=note)
-    if one.channel_gains is not None:
-        numbers += _by_channel("K of {}", one, [estimated(gain, "") for gain in one.channel_gains])
-    if one.spatial_gain is not None:
-        numbers.append(("K as published", estimated(one.spatial_gain, "")))
+        return _group(record, title, numbers, "gain", note=note)
+    if record.channel_gains is not None:
+        numbers += _by_channel("K of {}", record, [format_figure(gain, "") for gain in record.channel_gains])
+    if record.spatial_gain is not None:
+        numbers.append(("K as published", format_figure(record.spatial_gain, "")))
     numbers += [
         ("Channels' χ² per d.o.f.", digits(transfer.agreement_chi2_per_dof, 2)),
         ("Flat frames", str(transfer.frames)),
         ("Area left out", f"{transfer.left_out:.1%}"),
     ]
-    return _group(one, title, numbers, "gain", plots=[drawn.transfer_plot(one, transfer)])
+    return _group(record, title, numbers, "gain", plots=[drawn.transfer_plot(record, transfer)])
 
 
-def _colour_bias(one: IsoCalibration) -> dict[str, Any]:
-    bias, blacks = one.colour_bias, sorted(set(one.sensor.black_level_dn))
+def _colour_bias(record: IsoCalibration) -> dict[str, Any]:
+    bias, blacks = record.colour_bias, sorted(set(record.sensor.black_level_dn))
     numbers = [
-        *([] if bias is None else _by_channel("{}", one, map(estimated, bias))),
-        ("Recorded black", f"{_and([f'{level:g}' for level in blacks])} DN"),
-        ("Bias frames", str(one.bias.frames)),
+        *([] if bias is None else _by_channel("{}", record, map(format_figure, bias))),
+        ("Recorded black", f"{join_words([f'{level:g}' for level in blacks])} DN"),
+        ("Bias frames", str(record.bias.frames)),
     ]
     return _group(
-        one, "Colour bias", numbers, "colour bias", plots=[] if bias is None else [drawn.bias_plot(one, bias)]
+        record, "Colour bias", numbers, "colour bias", plots=[] if bias is None else [drawn.bias_plot(record, bias)]
     )
 
 
-def _rows(one: IsoCalibration) -> dict[str, Any]:
-    rows, columns = one.rows.rows, one.rows.columns
+def _rows(record: IsoCalibration) -> dict[str, Any]:
+    rows, columns = record.rows.rows, record.rows.columns
     numbers = [
-        *_figures(one, _ROW_NOISE),
+        *_figures(record, _ROW_NOISE),
         ("Fixed rows", f"{digits(rows.fixed_sigma_dn)} DN"),
         ("Fixed columns", f"{digits(columns.fixed_sigma_dn)} DN"),
         ("Shapiro-Wilk p", digits(rows.shapiro_p, 2)),
         ("Excess kurtosis", digits(rows.excess_kurtosis, 2)),
     ]
-    plots, pictures = (
-        [drawn.rows_plot(one), drawn.line_spectrum_plot(one)],
-        [drawn.spectrum_picture(one)],
-    )
-    return _group(one, "Row noise", numbers, "row noise", plots=plots, pictures=pictures)
+    plots = [drawn.rows_plot(record), drawn.line_spectrum_plot(record)]
+    return _group(record, "Row noise", numbers, "row noise", plots=plots, pictures=[drawn.spectrum_picture(record)])
 
 
-def _read_noise(one: IsoCalibration) -> dict[str, Any]:
+def _read_noise(record: IsoCalibration) -> dict[str, Any]:
     numbers: Rows = []
     plots: list[Plot] = []
-    if one.read is not None and one.plot is not None:
-        numbers = [*_figures(one, _READ_NOISE), ("Residuals", grouped(one.read.residuals))]
-        shape = one.tukey_lambda
-        plots = [] if shape is None else [drawn.ppcc_plot(one, one.read, shape)]
-        plots += drawn.read_noise_plots(one, one.read, one.plot)
-    return _group(one, "Read noise", numbers, "shape", "read noise", plots=plots)
+    if record.read is not None and record.plot is not None:
+        numbers = [*_figures(record, _READ_NOISE), ("Residuals", format_count(record.read.residuals))]
+        shape = record.tukey_lambda
+        plots = [] if shape is None else [drawn.ppcc_plot(record, record.read, shape)]
+        plots += drawn.read_noise_plots(record, record.read, record.plot)
+    return _group(record, "Read noise", numbers, "shape", "read noise", plots=plots)
 
 
-def _reproduction(one: IsoCalibration) -> dict[str, Any]:
-    title, kept = "A bias frame kept out, against the model", one.reproduction
+def _reproduction(record: IsoCalibration) -> dict[str, Any]:
+    title, kept = "A bias frame kept out, against the model", record.reproduction
     if kept is None:
-        note = f"None was kept out: there were only {one.bias_frames} bias frames, and all went into the estimates."
-        if one.parameters is None:
+        note = f"None was kept out: there were only {record.bias_frames} bias frames, and all went into the estimates."
+        if record.parameters is None:
             note = "There is none, since a figure that it would be made with is withheld."
-        return _group(one, title, [], note=note)
+        return _group(record, title, [], note=note)
     numbers = [
         ("R² of the quantiles", digits(kept.r_squared, 6)),
         ("Histograms differ by", f"{kept.histogram_distance:.2%}"),
@@ -288,21 +280,21 @@ def _reproduction(one: IsoCalibration) -> dict[str, Any]:
         ("Row means, σ simulated", f"{digits(kept.row_sigma_simulated_dn)} DN"),
     ]
     return _group(
-        one,
+        record,
         title,
         numbers,
-        plots=[drawn.reproduced_plot(one, kept)],
-        pictures=[drawn.reproduced_pictures(one, kept)],
+        plots=[drawn.reproduced_plot(record, kept)],
+        pictures=[drawn.reproduced_pictures(record, kept)],
     )
 
 
-def _pattern(one: IsoCalibration) -> dict[str, Any]:
-    pattern = one.pattern
+def _pattern(record: IsoCalibration) -> dict[str, Any]:
+    pattern = record.pattern
     uneven = zip(pattern.dsnu_dn, pattern.dsnu_error_dn, strict=True)
     numbers = [
-        ("Defects", f"{grouped(pattern.defects)}, {digits(100 * pattern.defects / pattern.pixels, 2)} %"),
-        ("Off their level", grouped(pattern.off_level)),
-        ("Never changing", grouped(pattern.stuck)),
-        *_by_channel("DSNU of {}", one, [measured(*values, "DN") for values in uneven]),
+        ("Defects", f"{format_count(pattern.defects)}, {digits(100 * pattern.defects / pattern.pixels, 2)} %"),
+        ("Off their level", format_count(pattern.off_level)),
+        ("Never changing", format_count(pattern.stuck)),
+        *_by_channel("DSNU of {}", record, [format_measured(*values, "DN") for values in uneven]),
     ]
-    return _group(one, "What stays from frame to frame", numbers, pictures=[drawn.shading_pictures(one)])
+    return _group(record, "What stays from frame to frame", numbers, pictures=[drawn.shading_pictures(record)])

@@ -13,14 +13,14 @@ from eldata.plots.axes import (
     MARKERS,
     deviation_band,
     draw_quantiles,
-    evenly,
     legend_above,
     log_ticks,
-    thinned,
+    spread_evenly,
+    thin_out,
     transfer_lines,
 )
 from eldata.plots.pictures import block_means, grey_png, limits
-from eldata.reports.html import digits, draw_plot, measured, plot_words, typeset
+from eldata.reports.html import digits, draw_plot, format_measured, plot_words, typeset
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -46,36 +46,35 @@ _FRAMES_SHOWN = 32
 _SHADING_SHOWN = 72  # rows or columns
 
 
-def estimated(figure: MeasuredFigure | None, unit: str | None = None) -> str:
+def format_figure(figure: MeasuredFigure | None, unit: str | None = None) -> str:
     """Write a figure with its error and a unit, by default its own; or "withheld"."""
     if figure is None or math.isnan(figure.value):
         return "withheld"
     unit = typeset(figure.unit) if unit is None else unit
-    return measured(figure.value, figure.error, unit) + (" (stated)" if figure.is_stated else "")
+    return format_measured(figure.value, figure.error, unit) + (" (stated)" if figure.is_stated else "")
 
 
-def _plot(kind: str, one: IsoGain, alt: str, draw: Callable[..., object], **options: Any) -> Plot:
+def _plot(kind: str, record: IsoGain, alt: str, draw: Callable[..., object], **options: Any) -> Plot:
     """Return a plot of one ISO, with the words of its kind."""
-    return draw_plot("calibration", kind, alt, draw, name=f"{kind}-{one.iso:g}", **options)
+    return draw_plot("calibration", kind, alt, draw, name=f"{kind}-{record.iso:g}", **options)
 
 
 # --- photon transfer ----------------------------------------------------------------------------------------------
 
 
-def transfer_plot(one: IsoGain, transfer: PhotonTransfer) -> Plot:
+def transfer_plot(record: IsoGain, transfer: PhotonTransfer) -> Plot:
     """Draw the variance over the signal, the fitted lines, and the deviations from them."""
-    spatial, spatial_gain = one.spatial, one.spatial_gain
+    spatial, spatial_gain = record.spatial, record.spatial_gain
     worst = max((line.chi2_per_dof for line in transfer.channels if math.isfinite(line.chi2_per_dof)), default=math.nan)
     alt = (
-        f"Variance against signal of the flats at ISO {one.iso:g}, by channel, with the fitted lines: K is "
-        f"{estimated(one.gain)}, chi² per degree of freedom at most "
-        f"{digits(worst, 2)}."
+        f"Variance against signal of the flats at ISO {record.iso:g}, by channel, with the fitted lines: K is "
+        f"{format_figure(record.gain)}, chi² per degree of freedom at most {digits(worst, 2)}."
     )
     if spatial is not None and spatial_gain is not None:
         alt += f" The published single-frame method gives {digits(spatial_gain.value, 4)} DN/e⁻."
 
     def draw(main: Axes, below: Axes, theme: Theme) -> None:
-        furthest = transfer_lines(main, below, one.channels, transfer.channels, theme)
+        furthest = transfer_lines(main, below, record.channels, transfer.channels, theme)
         if spatial is not None:
             _draw_single_frames(main, spatial, theme)
             legend_above(main)
@@ -83,14 +82,14 @@ def transfer_plot(one: IsoGain, transfer: PhotonTransfer) -> Plot:
         below.set_xlabel("signal [DN]")
 
     more = "" if spatial is None else plot_words("calibration")["transfer"]["single_frames"]
-    return _plot("transfer", one, alt, draw, ratio=2.6, more=more)
+    return _plot("transfer", record, alt, draw, ratio=2.6, more=more)
 
 
 def _draw_single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> None:
     """Draw the published method's points; those far above the others as arrows, or they would flatten the rest."""
     signal = np.concatenate([line.signal_dn for line in spatial.channels])
     variance = np.concatenate([line.variance_dn2 for line in spatial.channels])
-    shown = evenly(signal.size, _SINGLE_FRAMES_SHOWN)
+    shown = spread_evenly(signal.size, _SINGLE_FRAMES_SHOWN)
     signal, variance = signal[shown], variance[shown]
     low, high = axes.get_ylim()
     high *= _ROOM_ABOVE
@@ -106,23 +105,23 @@ def _draw_single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> No
 # --- colour bias --------------------------------------------------------------------------------------------------
 
 
-def bias_plot(one: IsoCalibration, given: Sequence[MeasuredFigure]) -> Plot:
+def bias_plot(record: IsoCalibration, figures: Sequence[MeasuredFigure]) -> Plot:
     """Draw the colour bias, and below how much the frames' own means scatter around it."""
-    bias = one.bias
-    channels = len(one.channels)
-    found = ", ".join(f"{name} {estimated(figure)}" for name, figure in zip(one.channels, given, strict=True))
+    bias = record.bias
+    channels = len(record.channels)
+    values = ", ".join(f"{name} {format_figure(figure)}" for name, figure in zip(record.channels, figures, strict=True))
     alt = (
-        f"Mean of the bias frames over the recorded black level at ISO {one.iso:g}: {found}; and the means of "
+        f"Mean of the bias frames over the recorded black level at ISO {record.iso:g}: {values}; and the means of "
         f"{bias.frames} single frames around it."
     )
 
     def draw(main: Axes, below: Axes, theme: Theme) -> None:
-        frames = evenly(bias.frames, _FRAMES_SHOWN)
+        frames = spread_evenly(bias.frames, _FRAMES_SHOWN)
         across = np.linspace(-0.3, 0.3, frames.size) if frames.size > 1 else np.zeros(1)
         main.axhline(0, color=theme.theory)
         below.axhline(0, color=theme.theory, linewidth=1)
         for channel in range(channels):
-            mean, error = given[channel].value, given[channel].error
+            mean, error = figures[channel].value, figures[channel].error
             style: dict[str, Any] = {"marker": MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
             main.errorbar(channel, mean, yerr=error if math.isfinite(error) else None, capsize=4, **style)
             below.plot(channel + across, bias.frame_bias_dn[frames, channel] - mean, markersize=3.5, **style)
@@ -136,22 +135,22 @@ def bias_plot(one: IsoCalibration, given: Sequence[MeasuredFigure]) -> Plot:
         main.margins(y=0.25)
         main.set_ylabel("mean [DN]")
         below.set_ylabel("frame − mean [DN]")
-        below.set_xticks(range(channels), one.channels)
+        below.set_xticks(range(channels), record.channels)
         below.set_xlim(-0.5, channels - 0.5)
 
-    return _plot("bias", one, alt, draw, ratio=1 / 1.4)
+    return _plot("bias", record, alt, draw, ratio=1 / 1.4)
 
 
 # --- rows ---------------------------------------------------------------------------------------------------------
 
 
-def rows_plot(one: IsoCalibration) -> Plot:
+def rows_plot(record: IsoCalibration) -> Plot:
     """Draw the normal probability plot of the row means."""
-    rows = one.rows.rows
-    shown = thinned(rows.quantiles.size)
+    rows = record.rows.rows
+    shown = thin_out(rows.quantiles.size)
     r_squared, p = digits(rows.r_squared, 5), digits(rows.shapiro_p, 2)
     alt = (
-        f"Ordered row means against normal quantiles at ISO {one.iso:g}: R² {r_squared}, Shapiro-Wilk p {p} of "
+        f"Ordered row means against normal quantiles at ISO {record.iso:g}: R² {r_squared}, Shapiro-Wilk p {p} of "
         f"{rows.shapiro_values} values, excess kurtosis {digits(rows.excess_kurtosis, 2)}."
     )
     draw = partial(
@@ -162,35 +161,35 @@ def rows_plot(one: IsoCalibration) -> Plot:
         labels=("normal quantile", "row mean [DN]"),
         note=f"R² {r_squared}\nShapiro-Wilk p {p}",
     )
-    return _plot("rows", one, alt, draw)
+    return _plot("rows", record, alt, draw)
 
 
-def line_spectrum_plot(one: IsoCalibration) -> Plot:
+def line_spectrum_plot(record: IsoCalibration) -> Plot:
     """Draw the periodograms of row and column means, over what the pixels alone would give."""
-    rows, columns = one.rows.rows, one.rows.columns
+    rows, columns = record.rows.rows, record.rows.columns
     alt = (
-        f"Power of row and column means over what pixel noise alone gives, at ISO {one.iso:g}: σ row "
-        f"{estimated(one.sigma_row_dn)}, σ column {estimated(one.sigma_column_dn)}."
+        f"Power of row and column means over what pixel noise alone gives, at ISO {record.iso:g}: σ row "
+        f"{format_figure(record.sigma_row_dn)}, σ column {format_figure(record.sigma_column_dn)}."
     )
 
     def draw(axes: Axes, theme: Theme) -> None:
-        variance = one.rows.pixel_variance_dn2 or 1.0
+        variance = record.rows.pixel_variance_dn2 or 1.0
         of_pixels = variance / columns.deviations_dn.shape[1]
         for line, alone, colour, style, name in (
             (columns, variance / rows.deviations_dn.shape[1], theme.ink, ":", "columns"),
             (rows, of_pixels, theme.found, "-", "rows"),
         ):
-            frequency, power = line.smoothed_power_dn2(len(one.sensor.cfa))
+            frequency, power = line.smoothed_power_dn2(len(record.sensor.cfa))
             axes.plot(frequency, power / alone, style, color=colour, label=name)
-        if one.sigma_row_dn is not None:
-            white = 1 + one.sigma_row_dn.value**2 / of_pixels
+        if record.sigma_row_dn is not None:
+            white = 1 + record.sigma_row_dn.value**2 / of_pixels
             axes.axhline(white, color=theme.theory, label="white noise of σ row")
         axes.axhline(1, color=theme.theory, linewidth=1, linestyle="--", label="pixels alone")
         _set_up_power(axes)
         axes.set(xlabel="frequency [cycles per line]", ylabel="power / pixels' own")
         axes.legend(loc="best", ncols=2)
 
-    return _plot("line-spectrum", one, alt, draw)
+    return _plot("line-spectrum", record, alt, draw)
 
 
 def _set_up_power(axes: Axes) -> None:
@@ -205,12 +204,12 @@ def _set_up_power(axes: Axes) -> None:
 # --- read noise ---------------------------------------------------------------------------------------------------
 
 
-def ppcc_plot(one: IsoCalibration, read: ReadNoise, shape: MeasuredFigure) -> Plot:
+def ppcc_plot(record: IsoCalibration, read: ReadNoise, shape: MeasuredFigure) -> Plot:
     """Draw the correlation of the probability plot over the shape, and the shape that is given."""
     alt = (
-        f"Correlation of the probability plot over the shape λ at ISO {one.iso:g}: highest at "
+        f"Correlation of the probability plot over the shape λ at ISO {record.iso:g}: highest at "
         f"{digits(read.ppcc_lambda_plain)} on the residuals, {digits(read.ppcc_lambda)} allowing for rounding and the "
-        f"mean over frames; λ by maximum likelihood {estimated(shape)}."
+        f"mean over frames; λ by maximum likelihood {format_figure(shape)}."
     )
 
     def draw(axes: Axes, theme: Theme) -> None:
@@ -228,12 +227,12 @@ def ppcc_plot(one: IsoCalibration, read: ReadNoise, shape: MeasuredFigure) -> Pl
         axes.set(xlabel="λ", ylabel="correlation")
         legend_above(axes)
 
-    return _plot("ppcc", one, alt, draw)
+    return _plot("ppcc", record, alt, draw)
 
 
-def read_noise_plots(one: IsoCalibration, read: ReadNoise, plot: ProbabilityPlot) -> list[Plot]:
+def read_noise_plots(record: IsoCalibration, read: ReadNoise, plot: ProbabilityPlot) -> list[Plot]:
     """Draw the probability plots of the residuals against the normal and the Tukey-lambda distribution."""
-    shape = "" if one.tukey_lambda is None else f" of shape {digits(plot.shape)}"
+    shape = "" if record.tukey_lambda is None else f" of shape {digits(plot.shape)}"
     of_shape = f"those of the Tukey-lambda distribution{shape}"
     plots = []
     for kind, family, words, quantiles, slope, r_squared in (
@@ -248,19 +247,19 @@ def read_noise_plots(one: IsoCalibration, read: ReadNoise, plot: ProbabilityPlot
             labels=(f"{family} quantile", "read noise [DN]"),
             note=f"R² {digits(r_squared, 6)}",
         )
-        alt = f"Quantiles of the read noise against {words} at ISO {one.iso:g}: R² {digits(r_squared, 6)}."
-        plots.append(_plot(kind, one, alt, draw))
+        alt = f"Quantiles of the read noise against {words} at ISO {record.iso:g}: R² {digits(r_squared, 6)}."
+        plots.append(_plot(kind, record, alt, draw))
     return plots
 
 
 # --- real against simulated ---------------------------------------------------------------------------------------
 
 
-def reproduced_plot(one: IsoCalibration, kept: Reproduction) -> Plot:
-    """Draw the quantiles of a real bias frame over those of a simulated one."""
+def reproduced_plot(record: IsoCalibration, kept: Reproduction) -> Plot:
+    """Draw the quantiles of a real bias frame over the quantiles of a simulated one."""
     r_squared = digits(kept.r_squared, 6)
     alt = (
-        f"Quantiles of the held-out bias frame against those of a simulated one at ISO {one.iso:g}, from 0.00001 to "
+        f"Quantiles of the held-out bias frame against those of a simulated one at ISO {record.iso:g}, from 0.00001 to "
         f"0.99999: R² {r_squared}."
     )
     draw = partial(
@@ -271,7 +270,7 @@ def reproduced_plot(one: IsoCalibration, kept: Reproduction) -> Plot:
         labels=("simulated [DN]", "real [DN]"),
         note=f"R² {r_squared}",
     )
-    return _plot("reproduced-quantiles", one, alt, draw)
+    return _plot("reproduced-quantiles", record, alt, draw)
 
 
 # --- pictures -----------------------------------------------------------------------------------------------------
@@ -309,41 +308,41 @@ def _pictures(
     return Pictures(of_kind["title"], caption, pictures, black, white, pixelated=unit == "DN")
 
 
-def spectrum_picture(one: IsoCalibration) -> Pictures:
+def spectrum_picture(record: IsoCalibration) -> Pictures:
     """Show the centred power spectrum of a bias frame, in which row noise is a line."""
-    spectrum = np.asarray(one.spectrum_dn2, dtype=np.float64)
-    ground, rows, columns = one.spectrum_lines
+    spectrum = np.asarray(record.spectrum_dn2, dtype=np.float64)
+    ground, rows, columns = record.spectrum_lines
     low, high = limits([spectrum], 0.01, 0.999)
     low = max(low, ground / 8, 1e-9)  # of a single tile, chance alone goes far down
     high = max(high, 2 * low)
-    found = f"{digits(rows / ground)} times the ground" if ground > 0 else f"{digits(rows)} DN²"
-    across = f"{digits(columns / ground)} times" if ground > 0 else f"{digits(columns)} DN²"
+    of_rows = f"{digits(rows / ground)} times the ground" if ground > 0 else f"{digits(rows)} DN²"
+    of_columns = f"{digits(columns / ground)} times" if ground > 0 else f"{digits(columns)} DN²"
     alt = (
-        f"Centred power spectrum of a bias frame at ISO {one.iso:g}: the vertical line of rows is {found}, the "
-        f"horizontal one of columns {across}; the ground is {digits(ground)} DN²."
+        f"Centred power spectrum of a bias frame at ISO {record.iso:g}: the vertical line of rows is {of_rows}, the "
+        f"horizontal one of columns {of_columns}; the ground is {digits(ground)} DN²."
     )
     scale = (float(np.log(low)), float(np.log(high)))
     plane = np.log(np.maximum(spectrum, low))
-    return _pictures("spectrum", [("", alt, plane)], scale, "DN²", (low, high), rows=found, columns=across)
+    return _pictures("spectrum", [("", alt, plane)], scale, "DN²", (low, high), rows=of_rows, columns=of_columns)
 
 
-def reproduced_pictures(one: IsoCalibration, found: Reproduction) -> Pictures:
+def reproduced_pictures(record: IsoCalibration, kept: Reproduction) -> Pictures:
     """Show the same piece of a real bias frame and of a simulated one, on one scale."""
-    frames, sigmas = (found.real_dn, found.simulated_dn), map(digits, found.shown_sigmas_dn)
+    frames, sigmas = (kept.real_dn, kept.simulated_dn), map(digits, kept.shown_sigmas_dn)
     planes = (
-        (name, f"Piece of the {name} bias frame at ISO {one.iso:g}, standard deviation {sigma} DN.", frame)
+        (name, f"Piece of the {name} bias frame at ISO {record.iso:g}, standard deviation {sigma} DN.", frame)
         for name, frame, sigma in zip(("real", "simulated"), frames, sigmas, strict=True)
     )
     return _pictures("reproduced", planes, limits(frames, 0.002, 0.998), "DN")
 
 
-def shading_pictures(one: IsoCalibration) -> Pictures:
+def shading_pictures(record: IsoCalibration) -> Pictures:
     """Show the level of blocks of the sensor over each channel's mean."""
-    planes = [block_means(plane, max(1, -(-max(plane.shape) // _SHADING_SHOWN))) for plane in one.pattern.shading_dn]
+    planes = [block_means(plane, max(1, -(-max(plane.shape) // _SHADING_SHOWN))) for plane in record.pattern.shading_dn]
     limit = limits([abs(plane) for plane in planes], 0, 0.99)[1]
     described = (
-        (name, f"Shading of {name} at ISO {one.iso:g}: blocks from {low} to {high} DN around the mean.", plane)
-        for name, plane in zip(one.channels, planes, strict=True)
+        (name, f"Shading of {name} at ISO {record.iso:g}: blocks from {low} to {high} DN around the mean.", plane)
+        for name, plane in zip(record.channels, planes, strict=True)
         for low, high in [(digits(float(plane.min())), digits(float(plane.max())))]
     )
     return _pictures("shading", described, (-limit, limit), "DN")

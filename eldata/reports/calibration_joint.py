@@ -31,11 +31,11 @@ def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
     """Draw every plot over the ISOs that there is data for."""
     isos = calibration.isos
     plots = [_scale_plot(panel, _left_out(isos, "gain", panel.quantity)) for panel in calibration.scale_panels]
-    if with_gain := [one for one in calibration.all_isos if one.gain is not None]:
+    if with_gain := [record for record in calibration.all_isos if record.gain is not None]:
         plots.append(_gain_plot(with_gain, calibration.usual_gain_per_iso, _left_out(calibration.all_isos, "gain")))
-    if shaped := [one for one in isos if one.tukey_lambda is not None]:
+    if shaped := [record for record in isos if record.tukey_lambda is not None]:
         plots.append(_lambda_plot(shaped, _left_out(isos, "shape")))
-    if biased := [one for one in isos if one.colour_bias is not None]:
+    if biased := [record for record in isos if record.colour_bias is not None]:
         more = _left_out(isos, "colour bias")
         plots += [_bias_plot(biased, more), _frames_plot(biased, more)]
     return tuple(plots)
@@ -43,7 +43,7 @@ def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
 
 def _left_out(isos: Sequence[IsoGain], *figures: str) -> str:
     """Return which ISOs a plot lacks, since a figure that it needs is withheld, as a further sentence."""
-    names = [f"{one.iso:g}" for one in isos if not one.withheld.isdisjoint(figures)]
+    names = [f"{record.iso:g}" for record in isos if not record.withheld.isdisjoint(figures)]
     return f" Not shown, since withheld: ISO {', '.join(names)}." if names else ""
 
 
@@ -65,11 +65,8 @@ def _scale_plot(panel: ScalePanel, more: str) -> Plot:
     def draw(axes: Axes, theme: Theme) -> None:
         scale_over_gain(axes, name, panel.spans, points, theme)
 
-    words: dict[str, object] = {"name": name}
-    caption = "caption" if lines else "without_line"
-    return draw_plot(
-        "calibration", "scale", alt, draw, name=f"sigma-{name.lower()}", caption=caption, more=more, words=words
-    )
+    options: dict[str, Any] = {"name": f"sigma-{name.lower()}", "words": {"name": name}, "more": more}
+    return draw_plot("calibration", "scale", alt, draw, caption="caption" if lines else "without_line", **options)
 
 
 def _plot_by_iso(
@@ -85,10 +82,10 @@ def _plot_by_iso(
 
 
 def _gain_plot(known: Sequence[IsoGain], usual: float, more: str) -> Plot:
-    measured = {one.iso: gain for one in known if (gain := one.gain) is not None}
-    isos, gains = list(measured), [gain.value for gain in measured.values()]
-    errors = [bar(gain.error) for gain in measured.values()]
-    relative, apart = ([one / iso / usual for one, iso in zip(each, isos, strict=True)] for each in (gains, errors))
+    by_iso = {record.iso: gain for record in known if (gain := record.gain) is not None}
+    isos, gains = list(by_iso), [gain.value for gain in by_iso.values()]
+    errors = [bar(gain.error) for gain in by_iso.values()]
+    relative, apart = ([value / iso / usual for value, iso in zip(each, isos, strict=True)] for each in (gains, errors))
     alt = (
         f"K at {counted(len(known), 'ISO')}, {digits(min(gains), 4)} to {digits(max(gains), 4)} DN/e⁻. K / ISO stays "
         f"within {max(abs(ratio - 1) for ratio in relative):.1%} of its median."
@@ -107,8 +104,8 @@ def _gain_plot(known: Sequence[IsoGain], usual: float, more: str) -> Plot:
 
 
 def _lambda_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
-    figures = [one.figures["tukey_lambda"] for one in isos]
-    at, shapes = [one.iso for one in isos], [figure.value for figure in figures]
+    figures = [record.figures["tukey_lambda"] for record in isos]
+    at, shapes = [record.iso for record in isos], [figure.value for figure in figures]
     alt = (
         f"Shape λ of the read noise at {counted(len(shapes), 'ISO')}, from {digits(min(shapes))} to "
         f"{digits(max(shapes))}."
@@ -126,7 +123,7 @@ def _lambda_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
 
 
 def _bias_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
-    channels = list(zip(*(one.colour_bias or () for one in isos), strict=True))
+    channels = list(zip(*(record.colour_bias or () for record in isos), strict=True))
     values = [figure.value for channel in channels for figure in channel]
     alt = (
         f"Colour bias by channel at {counted(len(isos), 'ISO')}, from {digits(min(values))} to {digits(max(values))} "
@@ -139,18 +136,20 @@ def _bias_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
             aside = math.exp((place - (len(channels) - 1) / 2) * _CHANNEL_STEP)
             style: dict[str, Any] = {"fmt": MARKERS[place], "color": theme.channels[place], "label": name}
             errors = [bar(figure.error) for figure in channel]
-            axes.errorbar([one.iso * aside for one in isos], [figure.value for figure in channel], yerr=errors, **style)
+            axes.errorbar(
+                [record.iso * aside for record in isos], [figure.value for figure in channel], yerr=errors, **style
+            )
         axes.set_ylabel("colour bias [DN]")
         axes.margins(y=0.1)
         legend_above(axes)
 
-    return _plot_by_iso("biases", [one.iso for one in isos], alt, draw, more=more)
+    return _plot_by_iso("biases", [record.iso for record in isos], alt, draw, more=more)
 
 
 def _frames_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
     """Draw the histogram of the frames' own colour biases (figure 4 of the paper); each ISO weighs alike."""
-    values = np.concatenate([one.bias.frame_bias_dn for one in isos])
-    weights = np.concatenate([np.full(one.bias.frames, 1 / one.bias.frames) for one in isos])
+    values = np.concatenate([record.bias.frame_bias_dn for record in isos])
+    weights = np.concatenate([np.full(record.bias.frames, 1 / record.bias.frames) for record in isos])
     low, high = math.floor(values.min() / _BIN_DN), math.floor(values.max() / _BIN_DN) + 1
     alt = (
         f"Histogram of the colour biases of {len(values)} bias frames at {counted(len(isos), 'ISO')}, by channel, from "

@@ -23,7 +23,7 @@ from eldata.evaluation.scores import natural
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, mean_gains, short
 from eldata.reports.evaluation import FACTS, Cell, Table, fact_cells, field_text, number_cell
-from eldata.reports.html import digits, draw_plot, rendered_with_script, signed
+from eldata.reports.html import digits, draw_plot, join_words, render_with_script, signed
 from eldata.reports.pictures import draw_images
 
 if TYPE_CHECKING:
@@ -77,12 +77,12 @@ def write_comparison_page(
 def comparison_page(comparison: Comparison, drawn: Sequence[DrawnImage] = ()) -> str:
     """Return the page; the same comparison gives the same text."""
     first, *others = comparison.names
-    return rendered_with_script(
+    return render_with_script(
         "compare.html",
         "compare.js",
         picture_policy=" 'self' file:" if drawn else "",
         kind=comparison.kind,
-        title=f"{' and '.join(_joined(others))} against {first}",
+        title=f"{join_words(others)} against {first}",
         summary=f"{summary_of(comparison)}.",
         warnings=comparison.warnings,
         note=statistics_note(comparison),
@@ -99,10 +99,6 @@ def comparison_page(comparison: Comparison, drawn: Sequence[DrawnImage] = ()) ->
             for index, (name, result) in enumerate(comparison.results.items(), start=1)
         ],
     )
-
-
-def _joined(names: Sequence[str]) -> list[str]:
-    return list(names) if len(names) < 3 else [", ".join(names[:-1]), names[-1]]
 
 
 def _fields(result: EvaluationResult) -> list[tuple[str, str]]:
@@ -164,7 +160,7 @@ def _differences_table(comparison: Comparison, index: int | None = None) -> Tabl
 
 
 def _look(sign: float) -> str:
-    """Return how a difference looks: better or worse, or neither."""
+    """Name the look of a difference: better, worse, or neither."""
     return "ok" if sign > 0 else "off" if sign < 0 else ""
 
 
@@ -233,19 +229,19 @@ def _rows(comparison: Comparison) -> Table:
 def _facets(comparison: Comparison) -> dict[str, list[str]]:
     """Return the columns that images are filtered by, with their values in the order of the choice."""
     scores = [of[0] for of in comparison.images]
-    found = {
+    columns = {
         "camera": [score.camera for score in scores_in_order(scores, comparison.first.dataset)],
         "scene": sorted((score.scene for score in scores), key=natural),
     }
     if not comparison.kind.is_of_clips:
         isos, factors = zip(*(fact_cells(score, comparison.kind) for score in scores), strict=True)
         for name, cells in (("ISO", isos), ("factor", factors)):
-            found[name] = [cell.text for cell in sorted(cells, key=lambda cell: float(cell.value or 0))]
-    return {name: list(dict.fromkeys(values)) for name, values in found.items()}
+            columns[name] = [cell.text for cell in sorted(cells, key=lambda cell: float(cell.value or 0))]
+    return {name: list(dict.fromkeys(values)) for name, values in columns.items()}
 
 
 def _looking(comparison: Comparison, drawn: Sequence[DrawnImage]) -> dict[str, Any]:
-    """Return what the viewer shows: its panels, and of each image addresses, sizes and words.
+    """Gather the viewer's panels, and addresses, sizes and words of each image.
 
     A panel has a key, what it is called, the key of the error below it, and the key of a keyboard that chooses it.
     """

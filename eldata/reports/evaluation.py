@@ -27,7 +27,7 @@ from eldata.plots.axes import number
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, strips
 from eldata.protocols.words import FIELDS, in_words
-from eldata.reports.html import digits, draw_plot, rendered_with_script, signed
+from eldata.reports.html import digits, draw_plot, render_with_script, signed
 from eldata.reports.pictures import show_images
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
     sections += [("distributions", "Distributions")] if plots else []
     sections += [("pictures", "Worst and best")] if shown else []
     sections += [("images", f"Every {kind.unit}")] if result.scores else []
-    return rendered_with_script(
+    return render_with_script(
         "evaluation.html",
         kind=kind,
         result=result,
@@ -119,7 +119,10 @@ def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
             for rank in dict.fromkeys(rank for rank, _, _ in shown)
         },
         rows=_rows(result, ids),
-        protocol_fields=[(name, _protocol_text(name, value)) for name, value in result.protocol.as_dict().items()],
+        protocol_fields=[
+            (name, in_words(name, value) if name in FIELDS else field_text(value))
+            for name, value in result.protocol.as_dict().items()
+        ],
         provenance_fields=[(name, field_text(value)) for name, value in result.provenance.items()],
     )
 
@@ -149,7 +152,7 @@ class Table:
 
 
 def number_cell(value: float, text: str, look: str = "") -> Cell:
-    """Return a cell that sorts by its number; what is not known sorts last."""
+    """Make a cell that sorts by its number; unknown numbers sort last."""
     return Cell(signed(text) if not math.isnan(value) else "–", look, json.dumps(value))
 
 
@@ -176,11 +179,6 @@ def field_text(value: Any) -> str:
     return "none" if value is None else json.dumps(value, ensure_ascii=False)
 
 
-def _protocol_text(name: str, value: Any) -> str:
-    """Return a field of a protocol in words, where there are any."""
-    return in_words(name, value) if name in FIELDS else field_text(value)
-
-
 # --- tables -------------------------------------------------------------------------------------------------------
 
 
@@ -190,9 +188,9 @@ def table_with_intervals(result: EvaluationResult) -> Table:
     texts = []
     for row in result.table:
         coverage, *means = row.texts(result.kind)
-        found = [result.interval(row, metric.name) for metric in metrics]
-        cells = [coverage, str(found[0].scenes)]
-        for mean, interval, metric in zip(means, found, metrics, strict=True):
+        intervals = [result.interval(row, metric.name) for metric in metrics]
+        cells = [coverage, str(intervals[0].scenes)]
+        for mean, interval, metric in zip(means, intervals, metrics, strict=True):
             cells += [mean, _interval_text(interval, metric)]
         texts.append(cells)
     names = [counted, "scenes", *(name for head in heads for name in (head, INTERVAL))]
@@ -228,7 +226,7 @@ def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
 
 
 def _method(result: EvaluationResult) -> str:
-    """Return what to call the predictions: their folder's name, or the baseline."""
+    """Name the predictions: by their folder, or by the baseline."""
     predictions = str(result.provenance.get("predictions", ""))
     if predictions.startswith("none: "):
         return predictions.removeprefix("none: ").capitalize()
@@ -261,7 +259,7 @@ _LAYERS = {
 
 
 def _viewer(name: str, score: UnitScore, image: DrawnImage, result: EvaluationResult) -> dict[str, Any]:
-    """Gather what is shown of one image: identifier, facts, layers with key, label, words and JPEG, and the crop."""
+    """Gather identifier, facts, layers (key, label, words, JPEG) and crop of one image."""
     times = ("", "") if score.ratio is None else (f" ×{score.ratio:g}", f" times {score.ratio:g}")
 
     def layers(jpegs: dict[str, bytes], place: str) -> list[tuple[str, str, str, bytes]]:

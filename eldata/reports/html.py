@@ -26,12 +26,12 @@ from eldata.base.visible import visible
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def rendered(template: str, templates: Path = TEMPLATES, /, **values: object) -> str:
+def render_page(template: str, templates: Path = TEMPLATES, /, **values: object) -> str:
     """Return a page from a template in the folder ``templates``; every text that is put in is escaped.
 
     It states the template's name as its generator, by which the next run knows its own page.
@@ -40,14 +40,14 @@ def rendered(template: str, templates: Path = TEMPLATES, /, **values: object) ->
     return _environment(templates).get_template(template).render(version=__version__, page=page, **values)
 
 
-def rendered_with_script(template: str, *more: str, **values: object) -> str:
+def render_with_script(template: str, *more: str, **values: object) -> str:
     """Return a page whose template puts ``script`` into a script element, as it is; no other may run there.
 
     It is evaluation.js, and after it the scripts named in ``more``: they sort tables, move sliders and link crops.
     """
     script = "\n".join((TEMPLATES / name).read_text(encoding="utf-8") for name in ("evaluation.js", *more))
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    return rendered(template, script=script, script_policy=f"; script-src 'sha256-{digest}'", **values)
+    return render_page(template, script=script, script_policy=f"; script-src 'sha256-{digest}'", **values)
 
 
 @cache
@@ -62,7 +62,7 @@ def _environment(templates: Path) -> jinja2.Environment:
         loader=jinja2.FileSystemLoader(templates),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
-        finalize=_seen,
+        finalize=_make_visible,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
@@ -72,8 +72,8 @@ def _environment(templates: Path) -> jinja2.Environment:
     return environment
 
 
-def _seen(value: object) -> object:
-    """Return what is put in a page with only characters that show."""
+def _make_visible(value: object) -> object:
+    """Return a value for a page with only characters that show."""
     # Of what is markup already, autoescape and our own filters have made every part.
     return visible(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
@@ -101,7 +101,7 @@ def typeset(text: str) -> str:
 
 
 def signed(text: str) -> str:
-    """Return a number with a minus sign in place of its hyphen."""
+    """Return a number with a minus sign instead of its hyphen."""
     return text.replace("-", "−")
 
 
@@ -111,20 +111,25 @@ def prose(text: str) -> str:
 
 
 def digits(value: float, count: int = 3) -> str:
-    """Return a number with ``count`` significant digits; "not known" for what is not a number."""
+    """Return a number with ``count`` significant digits; "not known" if it is not finite."""
     return signed(f"{value:.{count}g}") if math.isfinite(value) else "not known"
 
 
-def measured(value: float, error: float, unit: str = "") -> str:
+def format_measured(value: float, error: float, unit: str = "") -> str:
     """Return a value with its standard error, where it has one, and its unit."""
     if not math.isfinite(value):
         return "not known"
     return f"{signed(with_error(value, error))} {unit}".rstrip()
 
 
-def grouped(count: int) -> str:
+def format_count(count: int) -> str:
     """Return a count with its digits in threes."""
     return f"{count:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+
+
+def join_words(items: Sequence[str]) -> str:
+    """Return items in a sentence: with commas, and "and" before the last."""
+    return " and ".join([", ".join(items[:-1]), items[-1]]) if len(items) > 1 else items[0]
 
 
 # --- plots --------------------------------------------------------------------------------------------------------
@@ -173,15 +178,15 @@ def draw_plot(
     words
         What title and caption are completed by.
     """
-    from eldata.plots.axes import DARK, LIGHT, empty_figure, styled  # pages without plots do without matplotlib
+    from eldata.plots.axes import DARK, LIGHT, empty_figure, use_style  # pages without plots do without matplotlib
 
     said = plot_words(report)[kind]
     buffer, name = io.BytesIO(), name or kind
-    with styled(LIGHT, **{"svg.hashsalt": name}):
+    with use_style(LIGHT, **{"svg.hashsalt": name}):
         figure, axes = empty_figure(ratio)
         draw(*axes, LIGHT)
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    light = _slimmed(buffer.getvalue().decode("utf-8"))
+    light = _slim_svg(buffer.getvalue().decode("utf-8"))
     # Only the colours of the dark page's plot differ, and drawing is what takes time.
     inks = ((one.ink, one.grid, one.theory, one.found, *one.channels) for one in (LIGHT, DARK))
     colours = dict(zip(*inks, strict=True))
@@ -190,7 +195,7 @@ def draw_plot(
     return Plot(name, title, alt, shown + more, light.encode("utf-8"), dark.encode("utf-8"))
 
 
-def _slimmed(svg: str) -> str:
+def _slim_svg(svg: str) -> str:
     """Return the same picture in about half the characters: a page holds a hundred of them."""
     svg = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"\s+", " ", svg).replace("> <", "><")
@@ -202,20 +207,20 @@ def _slimmed(svg: str) -> str:
     svg = re.sub(r' id="([^"]*)"', lambda match: f' id="{names[match[1]]}"', svg)
     svg = re.sub(r"#([\w.-]+)", lambda match: f"#{names.get(match[1], match[1])}", svg)
     svg = svg.replace(' xmlns:xlink="http://www.w3.org/1999/xlink"', "").replace(" xlink:href=", " href=")
-    found = 1
-    while found:
-        svg, found = re.subn(r"<g>((?:(?!</?g[ >]).)*)</g>", r"\1", svg)  # groups that say nothing
+    changes = 1
+    while changes:
+        svg, changes = re.subn(r"<g>((?:(?!</?g[ >]).)*)</g>", r"\1", svg)  # groups that say nothing
     # Neighbours of one look say so once: points, and lines that are not filled.
     point = r'<use href="[^"]*" x="[^"]*" y="[^"]*" '
-    svg = re.sub(rf'{point}(style="[^"]*")/>(?:{point}\1/>)+', _grouped_points, svg)
+    svg = re.sub(rf'{point}(style="[^"]*")/>(?:{point}\1/>)+', _group_points, svg)
     line = r'<path d="[^"]*" '
-    return re.sub(rf'{line}((?:clip-path="[^"]*" )?style="fill: none[^"]*")/>(?:{line}\1/>)+', _joined_lines, svg)
+    return re.sub(rf'{line}((?:clip-path="[^"]*" )?style="fill: none[^"]*")/>(?:{line}\1/>)+', _join_lines, svg)
 
 
-def _grouped_points(points: re.Match[str]) -> str:
+def _group_points(points: re.Match[str]) -> str:
     return f"<g {points[1]}>{points[0].replace(' ' + points[1], '')}</g>"
 
 
-def _joined_lines(lines: re.Match[str]) -> str:
+def _join_lines(lines: re.Match[str]) -> str:
     outline = "".join(re.findall(r' d="([^"]*)"', lines[0]))
     return f'<path d="{outline}" {lines[1]}/>'

@@ -102,10 +102,8 @@ def show_images(ranked: Iterable[tuple[str, UnitScore, ScoredImage]]) -> tuple[t
     images: list[DrawnImage] = []
     for quality in _QUALITIES:
         images = [_draw_centre(seen, limit, quality) for _, _, seen in decoded]
-        if (
-            sum(len(jpeg) for image in images for jpeg in (*image.layers.values(), *image.whole.values()))
-            <= _MOST_BYTES
-        ):
+        jpegs = (jpeg for image in images for jpeg in (*image.layers.values(), *image.whole.values()))
+        if sum(map(len, jpegs)) <= _MOST_BYTES:
             break
     return tuple((rank, score, image) for (rank, score, _), image in zip(decoded, images, strict=True))
 
@@ -143,7 +141,7 @@ def draw_images(
     page
         The page's file. Pictures of an earlier page of this name are replaced, and removed where there are fewer now.
     whole
-        Draw all of each image, one to one, in place of the part in which the methods differ most.
+        Draw all of each image, one to one, instead of the part in which the methods differ most.
     workers
         Where to decode and draw; one image at a time in this process by default.
 

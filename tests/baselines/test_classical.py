@@ -1,32 +1,40 @@
-"""Denoisers without training on scenes of known signal and Poisson-Gaussian noise; what they are made of."""
+"""Denoisers without training, the lines of noise, on known signals and on simulated cameras, which share no code."""
 
 from __future__ import annotations
 
 import statistics
 from dataclasses import replace
+from fractions import Fraction
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import convolve1d
 from scipy.stats import t as student
 
 from eldata.baselines.classical import (
     BASELINES,
     SignalNoise,
-    dct_thresholded,
+    apply_anscombe,
+    invert_anscombe,
     noise_of_image,
     noise_of_parameters,
     noise_of_patches,
-    stabilised,
-    unstabilised,
+    threshold_dct,
 )
+from eldata.baselines.noise_line import noise_line
+from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.parameters import NoiseParameters
 from eldata.noise.profile import CameraProfile
+from eldata.raw import pack
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from eldata.demo.camera import SimulatedCamera
 
 LINES = {"shot noise": SignalNoise(0.02, 0.005**2), "read noise too": SignalNoise(0.05, 0.05**2)}
 
@@ -118,8 +126,8 @@ def test_mean_brightness_is_kept_in_the_dark() -> None:
     signal = np.full((4, 96, 96), 0.015)
     generator = np.random.default_rng(0)
     noisy = 0.01 * generator.poisson(signal / 0.01) + 0.005 * generator.standard_normal(signal.shape)
-    mean = stabilised(noisy, line).mean(keepdims=True)
-    assert unstabilised(mean, line).item() == pytest.approx(0.015, rel=0.025)
+    mean = apply_anscombe(noisy, line).mean(keepdims=True)
+    assert invert_anscombe(mean, line).item() == pytest.approx(0.015, rel=0.025)
     assert 0.01 * (mean.item() ** 2 / 4 - 3 / 8 - 0.25) < 0.9 * 0.015  # so the bound above can fail
 
 
@@ -193,14 +201,6 @@ def test_the_line_of_figures() -> None:
     assert line.variance(np.array(-1.0)) == line.offset
 
 
-def test_what_shows_no_noise() -> None:
-    with pytest.raises(DatasetError, match="shows no noise"):
-        noise_of_image(np.full((4, 128, 128), 0.2, np.float32))
-    with pytest.raises(DatasetError, match=r"too little of its noise: 16 windows .*, where 64 are needed"):
-        noise_of_image(np.zeros((4, 16, 16), np.float32))
-    assert SignalNoise(0.1, 0.2).variance(np.array([1.0])) == pytest.approx(0.3)
-
-
 # --- stabilising ----------------------------------------------------------------------------------------------------
 
 
@@ -214,11 +214,11 @@ def test_the_mean_of_stabilised_values_leads_back(gain: float, sigma: float, cou
     generator = np.random.default_rng(17)
     line = SignalNoise(slope=gain, offset=(gain * sigma) ** 2)
     values = gain * (generator.poisson(counts, DRAWS) + sigma * generator.standard_normal(DRAWS))
-    seen = stabilised(values, line)
+    seen = apply_anscombe(values, line)
     if counts > 10 or sigma > 10:
         assert seen.std() == pytest.approx(1.0, abs=0.01)
     error = float(seen.std() / np.sqrt(DRAWS) * seen.mean() / 2)
-    back = float(unstabilised(np.array([seen.mean()]), line)[0]) / gain
+    back = float(invert_anscombe(np.array([seen.mean()]), line)[0]) / gain
     assert abs(back - counts) < 4.5 * error + 2e-3
 
 
@@ -229,4 +229,98 @@ def test_the_mean_of_stabilised_values_leads_back(gain: float, sigma: float, cou
 @pytest.mark.parametrize("size", [(32, 48), (33, 47), (16, 16)])
 def test_constant_images_stay_as_they_are(values: tuple[float, ...], size: tuple[int, int]) -> None:
     image = np.broadcast_to(np.array(values, np.float32)[:, None, None], (4, *size))
-    assert np.abs(dct_thresholded(image, SignalNoise(0.01, 1e-3)) - image).max() < 1e-5
+    assert np.abs(threshold_dct(image, SignalNoise(0.01, 1e-3)) - image).max() < 1e-5
+
+
+# --- the line of a photograph ---------------------------------------------------------------------------------------
+
+
+SIZE = (384, 576)
+ALPHA, BETA = (camera.with_size(*SIZE) for camera in CAMERAS)
+
+
+@cache
+def photograph(camera: SimulatedCamera, scene: int, iso: int, ratio: int) -> NDArray[np.uint16]:
+    generator = np.random.default_rng([scene, iso, ratio])
+    return camera.photograph(scene_radiance(scene, *SIZE), Fraction(100, iso * ratio), iso, generator)
+
+
+def packed(camera: SimulatedCamera, mosaic: NDArray[np.uint16]) -> NDArray[np.float32]:
+    black = np.array([camera.sensor.black_level_dn]).reshape(4, 1, 1)
+    return np.asarray(pack(mosaic, camera.sensor.cfa) - black, dtype=np.float32)
+
+
+def true_offset(camera: SimulatedCamera, iso: int) -> float:
+    """Variance without light where the recorded black has it: the colour bias shifts the line along the signal."""
+    gain = camera.gain_dn_per_e(iso)
+    read = (gain * camera.sigma_read_e) ** 2 + camera.sigma_quantiser_dn**2
+    return read + 1 / 12 - gain**2 * float(np.mean(camera.colour_bias_e))
+
+
+ERRORS = {
+    (0, 1, 10): (0.056, 1.53), (0, 1, 100): (0.093, 0.53), (0, 3, 10): (0.083, 1.45), (0, 3, 100): (0.088, 0.55),
+    (1, 1, 10): (0.109, 3.6), (1, 1, 100): (0.365, 1.83), (1, 3, 10): (0.123, 3.29), (1, 3, 100): (0.311, 1.6),
+}  # fmt: skip
+"""Standard errors of slope and offset by camera, scene and ratio: of leaving out each of 24 parts of the frame."""
+
+
+def test_the_line_is_the_cameras_within_its_errors() -> None:
+    """16 deviations in standard errors: each within 5 (6e-7 by chance), the sum of their squares within 1.8 and 54."""
+    deviations = []
+    for number, camera in enumerate((ALPHA, BETA)):
+        for scene in (1, 3):
+            for iso, ratio in ((3200, 10), (3200, 100)):
+                gain = camera.gain_dn_per_e(iso)
+                line = noise_line(packed(camera, photograph(camera, scene, iso, ratio)))
+                of_slope, of_offset = ERRORS[number, scene, ratio]
+                deviations.append((line.slope - gain) / of_slope)
+                deviations.append((line.offset - true_offset(camera, iso)) / of_offset)
+    assert np.abs(deviations).max() < 5
+    assert 1.8 < np.square(deviations).sum() < 54  # 5e-6 of chi^2 each: errors are neither too small nor too large
+
+
+def test_texture_in_most_of_the_frame_stays_out_of_it() -> None:
+    """Stripes and blobs of ten times the noise's variance over half of it, up to the middle frequencies."""
+    generator = np.random.default_rng(5)
+    y, x = np.mgrid[: SIZE[0] // 2, : SIZE[1] // 2]
+    signal = 20 + np.round(x / 32) * 20.0 + np.zeros((4, 1, 1))
+    signal[:, y > 96] *= 1 + 0.3 * np.sin(1.1 * x + 0.7 * y)[y > 96]
+    frame = 2 * generator.poisson(signal / 2) + generator.normal(0, 4, signal.shape)
+    line = noise_line(frame)
+    assert abs(line.slope - 2) < 5 * 0.033
+    assert abs(line.offset - 16) < 5 * 2.35
+
+
+@pytest.mark.parametrize(
+    ("kernel", "words"),
+    [
+        ((0.1, 0.8, 0.1), "share their noise, as after noise reduction"),
+        ((-0.15, 1.3, -0.15), "was sharpened or compressed"),
+    ],
+)
+def test_filtered_raws_are_refused(kernel: tuple[float, ...], words: str) -> None:
+    frame = packed(BETA, photograph(BETA, 1, 3200, 100))
+    for axis in (1, 2):
+        frame = convolve1d(frame, kernel, axis=axis)
+    with pytest.raises(DatasetError, match=words):
+        noise_line(np.rint(frame))
+
+
+def test_frames_that_tell_nothing_are_named() -> None:
+    frame = packed(ALPHA, photograph(ALPHA, 1, 3200, 10))
+    for array, kind, words in (
+        (frame[0], ArgumentError, r"floating numbers; found float32 \(192, 288\)"),
+        (np.full_like(frame, np.nan), ArgumentError, "NaN or infinity"),
+        (np.zeros_like(frame), DatasetError, "shows no noise"),
+        (frame[:, :8, :8], DatasetError, "too small"),
+        (np.zeros((4, 16, 16), np.float32), DatasetError, "too little of its noise: 16 windows .*, where 64 are"),
+    ):
+        with pytest.raises(kind, match=words):
+            noise_line(array)
+
+
+def test_no_unit_is_preferred() -> None:
+    frame = packed(ALPHA, photograph(ALPHA, 1, 3200, 10))
+    line, scaled = noise_line(frame), noise_line(frame / 1024)
+    assert scaled.slope * 1024 == pytest.approx(line.slope, rel=1e-4)
+    assert scaled.offset * 1024**2 == pytest.approx(line.offset, rel=1e-4)

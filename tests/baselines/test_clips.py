@@ -1,25 +1,26 @@
-"""Clips: the loss, the network of five frames, training to the bit, and predictions of a data set of clips."""
+"""Clips: the loss, the network of five frames, and predictions of a data set of clips; and tiles of any image."""
 
 from __future__ import annotations
 
 import json
 import zipfile
 from functools import partial
-from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from eldata.baselines import NetworkDenoiser, Training, UNet, clip_error, load_network, save_network
+from eldata.baselines import NetworkDenoiser, UNet, clip_error, load_network, save_network
 from eldata.baselines.noisy_frames import mirrored_window
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
-from eldata.baselines.prediction_folder import begun
+from eldata.baselines.prediction_folder import begin_folder
 from eldata.baselines.tiling import tiled
 from eldata.baselines.training import consistent_error
 from eldata.cli.main import main
-from eldata.datasets import Arrays, CleanClips, SyntheticClips, training_loader
 from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.evaluation.evaluate import evaluate
@@ -30,11 +31,10 @@ from tests.cases import in_one_test
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
-    from eldata.baselines.noisy_frames import NoisyFrame
-
-ROOT = Path(__file__).parents[2]
 HERE = "tests.baselines.test_clips"
 CLIPS = ("0007", "0013")
 SIZE = (48, 56)
@@ -44,19 +44,12 @@ SIZE = (48, 56)
 
 
 def by_hand(noisy: NDArray[Any], clean: NDArray[Any], network: Any, window: int, weight: float) -> float:
-    """The loss of a batch, clip by clip, frame by frame and value by value, in float64."""
-    recovery = differing = 0.0
-    clips, frames = noisy.shape[:2]
-    starts = (0, frames - window)
-    for clip in range(clips):
-        off = []
-        for start in starts:
-            target = clean[clip] if clean.ndim == 4 else clean[clip][start + window // 2]
-            made = network(noisy[clip, start : start + window])
-            off.append(made.astype(np.float64) - target)
-            recovery += float(np.mean(np.abs(off[-1])))
-        differing += float(np.mean(np.abs(off[0] - off[1])))
-    return float((recovery + weight * differing) / clips)
+    """The loss of a batch: what the first and the last window are off by, and how much that differs."""
+    off = []
+    for start in (0, noisy.shape[1] - window):
+        target = clean if clean.ndim == 4 else clean[:, start + window // 2]
+        off.append(network(noisy[:, start : start + window]) - target)
+    return float(sum(np.abs(one).mean() for one in off) + weight * np.abs(off[0] - off[1]).mean())
 
 
 @pytest.mark.parametrize(("window", "frames"), [(1, 2), (1, 4), (3, 4), (5, 6)])
@@ -71,8 +64,7 @@ def test_the_loss_is_that_of_its_formula(window: int, frames: int, is_still: boo
         return batch**2 if window == 1 else (batch[:, window // 2] + batch[:, 0] * batch[:, -1])
 
     def same(frames: NDArray[Any]) -> NDArray[Any]:
-        made: NDArray[Any] = frames[0] ** 2 if window == 1 else frames[window // 2] + frames[0] * frames[-1]
-        return made
+        return np.asarray(frames[:, 0] ** 2 if window == 1 else frames[:, window // 2] + frames[:, 0] * frames[:, -1])
 
     batch = {"input": torch.from_numpy(noisy), "target": torch.from_numpy(clean)}
     for weight in (0.0, 0.05, 2.0):
@@ -87,6 +79,10 @@ def test_of_a_still_it_is_the_published_loss() -> None:
     assert consistent_error(first, second, clean, clean).item() == pytest.approx(expected.item(), rel=1e-12)
     moved = consistent_error(first + 1, second + 1, first, second, weight=7.0)
     assert moved.item() == pytest.approx(2.0, rel=1e-12)
+    with pytest.raises(ArgumentError, match="weight is 0 or more"):
+        consistent_error(first, second, clean, clean, weight=-1.0)
+    with pytest.raises(ArgumentError, match="clips of 4 frames or more"):
+        clip_error(torch.nn.Identity(), {"input": first[None], "target": clean[None]}, window=3)
 
 
 # --- the network ------------------------------------------------------------------------------------------------------
@@ -101,35 +97,6 @@ def test_a_network_of_windows_sees_frames_as_channels() -> None:
     assert (network.window, single.window) == (5, 1)
     with pytest.raises(ArgumentError, match="frames are odd"):
         UNet(frames=4)
-
-
-# --- training ---------------------------------------------------------------------------------------------------------
-
-
-def clips() -> SyntheticClips:
-    """Four clips of eight frames of waves that move, with the noise of a camera."""
-    rng = np.random.default_rng(3)
-    phase, turns = rng.uniform(0, 6, (2, 4, 1, 4, 1, 1))
-    along = 0.25 * np.arange(8)[:, None, None, None] + np.linspace(0, 3, 40)[:, None]
-    clean = 0.3 + 0.25 * np.sin(phase + turns * along / 3 + np.linspace(0, 3, 40))
-    frames = CleanClips(Arrays(clip, range_dn=15871.0) for clip in clean.astype(np.float32))
-    return SyntheticClips(frames, "SonyA7S2", frames=6, windows_per_clip=2, crop=16, ratio=200.0, iso=1600, seed=5)
-
-
-def training(network: torch.nn.Module, steps: int = 11, **options: Any) -> Training:
-    window = getattr(network, "window")  # noqa: B009 # of either class
-    loss = options.pop("loss", partial(clip_error, window=window))
-    loader = training_loader(clips(), 2, seed=1, workers=0)
-    return Training(network, loader, steps=steps, learning_rate=options.pop("learning_rate", 3e-3), loss=loss)
-
-
-@pytest.mark.parametrize("frames", [1, 5])
-def test_the_loss_falls(frames: int) -> None:
-    """Four steps an epoch."""
-    network = UNet(width=6, depth=1, frames=frames)
-    losses = [report.loss for report in training(network, steps=40, learning_rate=1e-2).epochs()]
-    assert len(losses) == 10
-    assert np.mean(losses[-3:]) < 0.7 * losses[0]
 
 
 # --- predictions ------------------------------------------------------------------------------------------------------
@@ -224,46 +191,23 @@ def test_windows_are_mirrored_at_the_ends() -> None:
 def test_tiles_of_a_clip_are_the_whole_frame() -> None:
     """A network of depth 1 reaches 9 pixels; a quarter of an overlap of 40 is 10."""
     network = UNet(4, width=3, depth=1, frames=5, seed=4).eval()
-    frames = np.random.default_rng(0).random((5, 4, 210, 187)).astype(np.float32)
-
-    def run(window: NDArray[np.float32]) -> NDArray[np.float32]:
-        with torch.inference_mode():
-            return np.asarray(network(torch.from_numpy(window)[None])[0].numpy())
-
-    class Frame:
-        image = frames[2]
-
-        def window(self, length: int) -> NDArray[np.float32]:
-            assert length == 5
-            return frames
-
-    frame: NoisyFrame = Frame()  # type: ignore[assignment] # as much of it as a network asks for
-    whole = NetworkDenoiser(run, {}, tile=0, multiple=2, window=5)(frame)
-    assert whole.shape == (4, 210, 187)
-    padded = np.pad(frames, ((0, 0), (0, 0), (0, 0), (0, 1)), mode="reflect")
-    np.testing.assert_allclose(whole, run(padded)[:, :, :187], atol=1e-6)
-    for tile in (160, 192):
-        found = NetworkDenoiser(run, {}, tile=tile, overlap=40, multiple=2, window=5)(frame)
-        assert np.abs(found - whole).max() < 5e-6
-    narrow = NetworkDenoiser(run, {}, tile=160, overlap=8, multiple=2, window=5)(frame)
-    assert np.abs(narrow - whole).max() > 1e-5  # so the bound above can fail
-    with pytest.raises(ArgumentError, match="it made"):
-        tiled(lambda part: part[:, 1:], frames[2], tile=0, overlap=0, multiple=1)
+    frames = np.random.default_rng(0).random((5, 4, 210, 188)).astype(np.float32)
+    frame: Any = SimpleNamespace(window=lambda length: frames[:length])  # as much of it as a network asks for
+    found = NetworkDenoiser(partial(run, network), {}, tile=160, overlap=40, multiple=2, window=5)(frame)
+    assert np.abs(found - run(network, frames)).max() < 5e-6
 
 
 def test_a_clip_that_was_begun_goes_on_frame_by_frame(drv: SmallDrv, tmp_path: Path) -> None:
     out = tmp_path / "p"
     write_predictions(load_network(f"{HERE}:later", window=3, multiple=1), "", out, **of_set(drv))
-    files = sorted(out.rglob("*.npy"))
-    before = [(file.stat().st_mtime_ns, file.read_bytes()) for file in files]
-    files[2].unlink()
-    files[7].unlink()
+    files = {file: (file.stat().st_mtime_ns, file.read_bytes()) for file in sorted(out.rglob("*.npy"))}
+    gone = [*files][2::5]
+    for file in gone:
+        file.unlink()
     report = write_predictions(load_network(f"{HERE}:later", window=3, multiple=1), "", out, **of_set(drv))
     assert (report.written, report.kept) == (2, 8)
-    assert len(evaluate(out, **of_set(drv)).scores) == 2
-    assert [file.read_bytes() for file in files] == [content for _, content in before]
-    kept = [k for k in range(10) if k not in (2, 7)]
-    assert [files[k].stat().st_mtime_ns for k in kept] == [before[k][0] for k in kept]
+    assert all(file.read_bytes() == content for file, (_, content) in files.items())
+    assert [file for file, (time, _) in files.items() if file.stat().st_mtime_ns != time] == gone
     with pytest.raises(ArgumentError, match="started with window 3, now 1"):
         write_predictions(load_network(f"{HERE}:later", multiple=1), "", out, **of_set(drv))
 
@@ -359,16 +303,80 @@ def test_the_same_work_may_be_done_by_several(tmp_path: Path) -> None:
     """And none of them leaves the folder to other work as long as one is there."""
     pytest.importorskip("fcntl")
     same = {"schema": 1, "denoiser": "one"}
-    with begun(tmp_path / "p", same):
+    with begin_folder(tmp_path / "p", same):
         pass
-    second = begun(tmp_path / "p", same)
-    with begun(tmp_path / "p", same):
+    second = begin_folder(tmp_path / "p", same)
+    with begin_folder(tmp_path / "p", same):
         second.__enter__()
     with (
         pytest.raises(ArgumentError, match="started with denoiser"),
-        begun(tmp_path / "p", {**same, "denoiser": "two"}),
+        begin_folder(tmp_path / "p", {**same, "denoiser": "two"}),
     ):
         pass
     second.__exit__(None, None, None)
-    with begun(tmp_path / "p", {**same, "denoiser": "two"}):
+    with begin_folder(tmp_path / "p", {**same, "denoiser": "two"}):
         assert json.loads((tmp_path / "p" / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "two"
+
+
+# --- tiles ------------------------------------------------------------------------------------------------------------
+
+
+def network(layers: int) -> torch.nn.Module:
+    torch.manual_seed(17)
+    parts = [torch.nn.Sequential(torch.nn.Conv2d(4, 4, 3, padding=1), torch.nn.ReLU()) for _ in range(layers)]
+    return torch.nn.Sequential(*parts, torch.nn.Conv2d(4, 4, 3, padding=1))
+
+
+def run(module: torch.nn.Module, image: np.ndarray) -> np.ndarray:
+    with torch.inference_mode():
+        return np.asarray(module(torch.from_numpy(image)[None])[0].numpy())
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(9, 90), st.integers(9, 90), st.sampled_from([(32, 16), (48, 16), (64, 32)]), st.sampled_from([1, 4, 8])
+)
+def test_tiles_are_the_whole_image(height: int, width: int, sides: tuple[int, int], multiple: int) -> None:
+    """Three convolutions of 3 x 3 reach 3 pixels; a quarter of an overlap of 16 is 4."""
+    image = np.random.default_rng(height * 100 + width).random((4, height, width)).astype(np.float32)
+    module = network(2)
+    tile, overlap = sides
+    whole = tiled(lambda part: run(module, part), image, tile=0, overlap=0, multiple=multiple)
+    found = tiled(lambda part: run(module, part), image, tile=tile, overlap=overlap, multiple=multiple)
+    assert found.shape == image.shape
+    assert np.abs(found - whole).max() < 2e-6
+
+
+def test_a_network_that_sees_further_differs() -> None:
+    image = np.random.default_rng(0).random((4, 80, 80)).astype(np.float32)
+    module = network(11)
+    whole = run(module, image)
+    found = tiled(lambda part: run(module, part), image, tile=32, overlap=16, multiple=1)
+    assert 1e-6 < np.abs(found - whole).max() < 0.1
+    wide = tiled(lambda part: run(module, part), image, tile=96, overlap=48, multiple=1)
+    assert np.abs(wide - whole).max() < 2e-6
+
+
+def test_pooling_networks_keep_their_grid() -> None:
+    """A network that halves its image is the same at multiples of 2 alone, where tiles begin."""
+
+    def halves(part: np.ndarray) -> np.ndarray:
+        small = part.reshape(4, part.shape[1] // 2, 2, part.shape[2] // 2, 2).mean(axis=(2, 4))
+        return np.repeat(np.repeat(small, 2, axis=1), 2, axis=2)
+
+    image = np.random.default_rng(0).random((4, 75, 101)).astype(np.float32)
+    whole = tiled(halves, image, tile=0, overlap=0, multiple=2)
+    assert np.abs(tiled(halves, image, tile=32, overlap=8, multiple=2) - whole).max() < 1e-6
+
+
+@pytest.mark.parametrize(("tile", "overlap", "multiple"), [(30, 8, 4), (32, 6, 4), (32, 20, 4), (-1, 0, 1), (32, 8, 0)])
+def test_what_does_not_go_together(tile: int, overlap: int, multiple: int) -> None:
+    with pytest.raises(ArgumentError, match="multiple"):
+        tiled(lambda part: part, np.zeros((4, 64, 64), np.float32), tile=tile, overlap=overlap, multiple=multiple)
+
+
+def test_images_that_do_not_fit_are_named() -> None:
+    with pytest.raises(ArgumentError, match=r"of an image of \(4, 64, 64\) it made \(4, 62, 62\)"):
+        tiled(lambda part: part[:, 1:-1, 1:-1], np.zeros((4, 64, 64), np.float32), tile=0, overlap=0, multiple=1)
+    with pytest.raises(ArgumentError, match="too small to be extended to multiples of 16"):
+        tiled(lambda part: part, np.zeros((4, 5, 64), np.float32), tile=0, overlap=0, multiple=16)

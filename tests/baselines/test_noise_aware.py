@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,15 +16,15 @@ from safetensors.torch import load_file
 
 from eldata.base.workers import Workers
 from eldata.baselines import unet
-from eldata.baselines.classical import SignalNoise, noise_of_parameters, stabilised
-from eldata.baselines.noisy_frames import denoise
+from eldata.baselines.classical import SignalNoise, apply_anscombe, noise_of_parameters
+from eldata.baselines.noisy_frames import denoise, line_of_profile
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
-from eldata.baselines.unet import NoiseAwareUNet, remove_noise, stabilise, undo
+from eldata.baselines.unet import NoiseAwareUNet, load_weights, remove_noise, stabilise, undo
 from eldata.datasets import Arrays, SyntheticPairs
 from eldata.demo.camera import CAMERAS
 from eldata.demo.evaluation import known_profile
 from eldata.demo.scenes import scene_radiance
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import ArgumentError, DatasetError, FileError
 from eldata.noise import LED_RANGES, NoiseModel, NoiseParameters, VirtualCameras
 from eldata.noise.parameters import tukey_lambda_variance
 from eldata.raw import read_raw
@@ -34,7 +34,7 @@ from tests.trees import frame, tree_in
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "train_noise_aware.py"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 WEIGHTS = Path(unet.__file__).with_name("noise_aware.safetensors")
 NOISY = 4  # of the tree's frames, at factor 100
 LINES = {"shot noise": (0.05, 1e-6), "both": (0.01, 1e-4), "read noise": (1e-6, 0.01), "read noise alone": (0.0, 0.01)}
@@ -47,7 +47,7 @@ def test_above_black_the_transform_is_anscombes_and_leads_back(name: str) -> Non
     line, signals = SignalNoise(slope, offset), np.linspace(-0.3, 1.5, 1000)
     known = torch.tensor([slope, offset], dtype=torch.float64)
     values, black = stabilise(torch.from_numpy(signals), *known)
-    theirs = stabilised(signals, line) - stabilised(np.zeros(1), line)
+    theirs = apply_anscombe(signals, line) - apply_anscombe(np.zeros(1), line)
     np.testing.assert_allclose(values[signals >= 0], theirs[signals >= 0], rtol=1e-6, atol=1e-4)
     assert bool((values.diff() > 0).all()), "below black nothing is cut off"
     np.testing.assert_allclose(undo(values, known[0], black), signals, rtol=1e-9, atol=1e-12)
@@ -65,12 +65,8 @@ def test_before_its_training_it_returns_its_input() -> None:
 @pytest.fixture
 def example(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """The script of the training, with three frames, and epochs of nine steps."""
-    monkeypatch.syspath_prepend(EXAMPLE.parent)  # whose pictures are the virtual benchmark's
-    spec = importlib.util.spec_from_file_location("train_noise_aware", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    monkeypatch.syspath_prepend(EXAMPLES)  # whose pictures are the virtual benchmark's
+    module = import_module("train_noise_aware")
     small = {"FRAMES": {"still life": 1, "picture": 1, "leaves": 1}, "HELD": {"picture": 2}, "SIDE": 64, "EPOCH": 9}
     for name, value in {**small, "HELD_SIDE": 32}.items():
         monkeypatch.setattr(module, name, value)
@@ -100,38 +96,11 @@ def test_the_training_goes_on_and_another_begins_with_its_weights(example: Any, 
         assert all(np.isfinite(float(value)) for line in csv.DictReader(file) for value in line.values())
 
 
-def test_the_mean_of_the_weights_is_what_is_used(example: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After n steps with weights w, a mean that began at 0 is w (1 - (1 - share)^n)."""
-    monkeypatch.setattr(example, "SHARE", 0.25)
-    network = example.Averaged(example.NoiseAwareUNet())
-    with torch.no_grad():
-        network.network.last.bias.fill_(2.0)
-        for _ in range(3):
-            network.train()(torch.zeros(1, 4, 8, 8), torch.ones(1), torch.ones(1))
-    bias = network.average.last.bias
-    torch.testing.assert_close(bias, torch.full_like(bias, 2 * (1 - 0.75**3)))
-
-
 def test_the_line_of_a_batch_is_the_models(example: Any) -> None:
     """Of lambda from -0.24 to 0.2 and near 0, against the closed form that the noise model has."""
     shapes = torch.tensor([-0.24, -0.05, -1e-6, 0.0, 1e-3, 0.2], dtype=torch.float64)
     found = example.tukey_lambda_variances(shapes)
     assert found.tolist() == pytest.approx([tukey_lambda_variance(float(shape)) for shape in shapes], rel=5e-4)
-
-
-def test_what_no_line_tells_of_is_as_large_as_it_is_said_to_be(example: Any) -> None:
-    """Of 400 crops: half have jumps, of a size that is uniform from 0 to 4 sigma, in 6 % of the pixels."""
-    torch.manual_seed(0)
-    added = example.untold(torch.zeros(400, 4, 64, 64), torch.full((400,), 2.0))
-    columns = added.median(dim=2).values  # jumps are too few to move it
-    assert torch.equal(columns[:, 0], columns[:, 3])
-    assert torch.equal(columns[:, 1], columns[:, 2])
-    jumps = added - columns[:, :, None]
-    share = (jumps.abs() > 1e-6).float().mean(dim=(1, 2, 3))
-    assert float((share > 0).float().mean()) == pytest.approx(0.5, abs=5 * 0.5 / 20)
-    assert float(share[share > 0].mean()) == pytest.approx(2 * 0.03, abs=0.001)
-    assert 7.5 < float(jumps.abs().max()) < 8
-    assert float(columns.std(dim=2).max()) < 2 * 0.3 * 1.5
 
 
 # --- the one that ships -----------------------------------------------------------------------------------------------
@@ -179,6 +148,14 @@ def test_denoise_makes_what_the_command_makes(demo_tree: Path, tmp_path: Path) -
         denoise(replace(noisy, exposure=replace(noisy.exposure, iso=None)), profiles[0])
     with pytest.raises(ArgumentError, match="ratio"):
         denoise(noisy, profiles[0], ratio=0.0)
+    with pytest.raises(DatasetError, match="With the camera's noise given"):
+        denoise(noisy)
+    with pytest.raises(DatasetError, match="its white level is 1"):
+        line_of_profile(profiles[0], "a.dng", 800.0, ratio=1.0, range_dn=1.0)
+    with pytest.raises(DatasetError, match="takes packed Bayer frames of 4 channels; found 9"):
+        remove_noise(np.zeros((9, 32, 32), np.float32), 0.05, 1e-3, ())
+    with pytest.raises(FileError, match="is not what was shipped"):
+        load_weights(NoiseAwareUNet(widths=(4, 6), blocks=(1, 1)), WEIGHTS.name)
 
 
 @pytest.mark.parametrize(

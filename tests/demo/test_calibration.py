@@ -1,29 +1,41 @@
-"""The calibration demo, end to end with small frames, and its table of errors."""
+"""The calibration demo, end to end with small frames, its table of errors; and the frames themselves."""
 
 from __future__ import annotations
 
 import json
+import math
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
+from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 import eldata.demo.calibration
 from eldata.base.workers import Workers
 from eldata.cli.main import main
-from eldata.demo.body import FixedFeatures
-from eldata.demo.calibration import against_truth, run_calibration_demo
-from eldata.demo.calibration_frames import DEMO_FEATURES, make_calibration_frames
+from eldata.demo.body import Body, FixedFeatures
+from eldata.demo.calibration import compare_with_truth, run_calibration_demo
+from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
+from eldata.errors import ArgumentError
+from eldata.manifest import verify
+from eldata.manifest.catalogue import load_manifest
 from eldata.noise import CameraProfile
+from eldata.raw.reading import read_raw
+from tests.baselines.travelling import Travelling
+from tests.calibration import draws
 from tests.cases import in_one_test
 from tests.shared import there
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from eldata.calibration import Calibration
+    from eldata.demo.calibration_frames import CalibrationCamera
+    from eldata.manifest.catalogue import Manifest
 
 ISOS = (100, 400, 1600)
 SMALL = partial(make_calibration_frames, isos=ISOS, bias_frames=6, flat_levels=4, size=(256, 384))
@@ -34,32 +46,26 @@ def page(found: Calibration) -> str:
     return f'<!DOCTYPE html><meta name="generator" content="eldata calibration">{found.camera}\n{found.format_text()}'
 
 
-def patched(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(eldata.demo.calibration, "make_calibration_frames", SMALL)
-    patch.setattr(eldata.demo.calibration, "calibration_page", page)
-    patch.setattr("eldata.reports.calibration.calibration_page", page)
-
-
-@pytest.fixture(autouse=True)
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    patched(monkeypatch)
+@pytest.fixture(scope="module", autouse=True)
+def small() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(eldata.demo.calibration, "make_calibration_frames", SMALL)
+        patch.setattr(eldata.demo.calibration, "calibration_page", page)
+        patch.setattr("eldata.reports.calibration.calibration_page", page)
+        yield
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration, str]:
-    """Folder, result, and what was printed."""
-    folder = tmp_path_factory.mktemp("demo") / "new" / "folder"
+    """Folder, result, and what was printed; over an earlier demo of another kind."""
+    folder = tmp_path_factory.mktemp("demo")
+    (folder / ".eldata-demo").write_text("x")
+    (folder / "data" / "ELD-demo").mkdir(parents=True)
     with pytest.MonkeyPatch.context() as patch:
-        patched(patch)
         lines: list[str] = []
         patch.setattr("builtins.print", lambda *words, **_: lines.append(" ".join(map(str, words))))
-        found = run_calibration_demo(folder, workers=Workers(2))
+        found = run_calibration_demo(folder)
     return folder, found, "\n".join(lines)
-
-
-def truth_of(folder: Path) -> dict[str, Any]:
-    read: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    return read
 
 
 def test_what_it_leaves(demo: tuple[Path, Calibration, str]) -> None:
@@ -68,6 +74,7 @@ def test_what_it_leaves(demo: tuple[Path, Calibration, str]) -> None:
     assert CameraProfile.load(folder / "DemoGamma.json") == found.profile
     assert (folder / "calibration.html").read_text(encoding="utf-8") == page(found)
     assert not list(folder.rglob("*.part"))
+    assert [path.name for path in (folder / "data").iterdir()] == ["calibration"], "nothing is left of the earlier one"
 
 
 def test_what_it_prints(demo: tuple[Path, Calibration, str]) -> None:
@@ -76,7 +83,7 @@ def test_what_it_prints(demo: tuple[Path, Calibration, str]) -> None:
         "42 raw files (DNG), bias and flat-field frames of DemoGamma",
         f"$ eldata calibrate {folder / 'data' / 'calibration'} --camera DemoGamma -o {folder / 'DemoGamma.json'}",
         found.format_text(),
-        against_truth(found, truth_of(folder)),
+        compare_with_truth(found, json.loads((folder / "truth.json").read_text())),
         str(folder / "calibration.html"),
     ):
         assert words in out
@@ -93,14 +100,10 @@ def test_the_command_that_it_names_gives_the_same(demo: tuple[Path, Calibration,
     assert (tmp_path / "r.html").read_bytes() == (folder / "calibration.html").read_bytes()
 
 
-def cells(text: str) -> list[list[str]]:
-    return [re.split(r"  +", line.strip()) for line in text.splitlines()]
-
-
 def test_the_table_of_errors_is_found_less_true(demo: tuple[Path, Calibration, str]) -> None:
     folder, found, _ = demo
-    truth = truth_of(folder)
-    header, _, *rows = cells(against_truth(found, truth))
+    truth = json.loads((folder / "truth.json").read_text())
+    header, _, *rows = (re.split(r"  +", line.strip()) for line in compare_with_truth(found, truth).splitlines())
     assert header == ["ISO", "K [%]", "lambda", "sigma_TL [%]", "sigma_G [%]", "sigma_row [%]", "colour bias [DN]"]
     assert len(rows) == 3
     for row, one, true in zip(rows, found.isos, truth["isos"], strict=True):
@@ -159,11 +162,132 @@ def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert not (tmp_path / "x").exists()
 
 
-def test_again_over_an_earlier_demo(tmp_path: Path) -> None:
-    """Of another kind or of the same: nothing of the other is left in data and manifests."""
-    folder = tmp_path / "x"
-    folder.mkdir()
-    (folder / ".eldata-demo").write_text("x")
-    (folder / "data" / "ELD-demo").mkdir(parents=True)
-    run_calibration_demo(folder)
-    assert [path.name for path in (folder / "data").iterdir()] == ["calibration"]
+# --- the frames, and the truth beside them ----------------------------------------------------------------------------
+
+SIZE = (64, 96)
+TWO_ISOS = (100, 800)
+FEW: dict[str, Any] = {"isos": TWO_ISOS, "bias_frames": 3, "flat_levels": 3, "size": SIZE}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Manifest]:
+    folder = tmp_path_factory.mktemp("calibration") / "new"
+    return folder, make_calibration_frames(folder, **FEW, workers=Workers(executor=Travelling()))
+
+
+@pytest.fixture(scope="module")
+def truth(made: tuple[Path, Manifest]) -> dict[str, Any]:
+    read: dict[str, Any] = json.loads((made[0] / "truth.json").read_text())
+    return read
+
+
+# --- files ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_manifest(made: tuple[Path, Manifest]) -> None:
+    folder, manifest = made
+    assert load_manifest(folder / "manifests" / "calibration-demo.csv") == manifest
+    report = verify([manifest], folder / "data", level="full")
+    assert report.ok
+    assert report.datasets[0].files_checked == 18
+    assert manifest.name == "calibration-demo"
+    assert manifest.folder(folder / "data") == folder / "data" / "calibration"
+    assert manifest.card.counts == {"bias": 6, "flat": 12}
+    assert manifest.card.cfa == "bayer"
+    for record in manifest.records:
+        assert record.path.startswith(f"DemoGamma/{record.role}/ISO{record.iso}/")
+        assert (record.height, record.width) == SIZE
+
+
+def test_each_frame_has_its_own_seed(made: tuple[Path, Manifest], truth: dict[str, Any]) -> None:
+    """The specimen is [seed, 0]; the frames of the ISO at index i are [seed, 1 + i, 0, 1, ...], bias then flats."""
+    folder = made[0] / "data" / "calibration" / "DemoGamma"
+    sensor = replace(DEMO_GAMMA.sensor, height=SIZE[0], width=SIZE[1])
+    body, noise = Body(sensor, DEMO_FEATURES, np.random.default_rng([0, 0])), DEMO_GAMMA.noise_at(800)
+    level = truth["isos"][1]["flats"][2]["mean_level_dn"] / truth["mean_light"]
+    for path, frame in (
+        ("bias/ISO800/IMG_0005.dng", body.bias_frame(noise, np.random.default_rng([0, 2, 1]))),
+        ("flat/ISO800/IMG_0018.dng", body.flat_frame(noise, level, np.random.default_rng([0, 2, 8]))),
+    ):
+        np.testing.assert_array_equal(read_raw(folder / path).mosaic, frame)
+
+
+# --- exposures ------------------------------------------------------------------------------------------------------
+
+
+def exposures(manifest: Manifest, role: str, iso: int) -> list[Fraction]:
+    chosen = [record for record in manifest.records if record.role == role and record.iso == iso]
+    return [record.exposure_s for record in chosen if record.exposure_s is not None]
+
+
+@pytest.mark.parametrize("levels", [2, 13])
+def test_levels_from_5_to_80_percent_under_one_lamp(levels: int, tmp_path: Path) -> None:
+    """At every ISO that the camera knows; time x K in proportion to the level."""
+    isos = tuple(noise.iso for noise in DEMO_GAMMA.noise)
+    options = {**FEW, "isos": isos, "bias_frames": 1, "flat_levels": levels, "size": (32, 48)}
+    make_calibration_frames(tmp_path, **options)
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    span = 16383 - 512
+    lamp = truth["lamp_e_per_s"] * truth["mean_light"]
+    for entry in truth["isos"]:
+        shares = [flat["mean_level_dn"] / span for flat in entry["flats"]]
+        assert len(shares) == levels
+        assert shares == sorted(set(shares))
+        assert shares[0] == pytest.approx(0.05, rel=0.05)
+        assert shares[-1] == pytest.approx(0.8, rel=0.03)
+        for flat in entry["flats"]:
+            light = lamp * float(Fraction(flat["exposure_s"])) * entry["gain_dn_per_e"]
+            assert flat["mean_level_dn"] == pytest.approx(light)
+
+
+# --- truth ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_truth_is_complete(truth: dict[str, Any]) -> None:
+    assert (truth["camera"], truth["seed"], truth["bias_frames"]) == ("DemoGamma", 0, 3)
+    assert (truth["height"], truth["width"]) == SIZE
+    assert truth["cfa"] == [[0, 1], [3, 2]]
+    assert (truth["black_level_dn"], truth["white_level_dn"]) == ([512.0] * 4, 16383.0)
+    assert FixedFeatures(**truth["features"]) == DEMO_FEATURES
+    assert truth["bias_exposure_s"] == "0.000125"
+    assert [entry["iso"] for entry in truth["isos"]] == list(TWO_ISOS)
+    sensor = replace(DEMO_GAMMA.sensor, height=SIZE[0], width=SIZE[1])
+    body = Body(sensor, DEMO_FEATURES, np.random.default_rng([0, 0]))
+    assert truth["hot_pixels"] == body.hot.sum()
+    for entry in truth["isos"]:
+        noise = DEMO_GAMMA.noise_at(entry["iso"])
+        stated = {**asdict(noise), "colour_bias_dn": list(noise.colour_bias_dn)}
+        assert {key: entry[key] for key in stated} == stated
+        assert entry["sigma_gauss_dn"] == noise.sigma_gauss_dn
+        assert entry["pattern_scale"] == math.sqrt(noise.gain_dn_per_e)
+        assert entry["colour_bias_with_pattern_dn"] == list(body.colour_bias_dn(noise))
+
+
+# --- other cameras ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("draw", [draws.drawn_bayer, draws.drawn_xtrans])
+def test_drawn_cameras(draw: Any, tmp_path: Path) -> None:
+    camera: CalibrationCamera = draw(np.random.default_rng(3), (200, 3200))
+    options = {**FEW, "isos": (200, 3200), "bias_frames": 1, "size": (66, 96)}
+    manifest = make_calibration_frames(tmp_path, camera=camera, **options)
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    assert manifest.card.cfa == ("xtrans" if len(camera.sensor.cfa) == 6 else "bayer")
+    assert verify([manifest], tmp_path / "data", level="full").ok
+    path = manifest.folder(tmp_path / "data") / manifest.records[0].path
+    sensor = read_raw(path).sensor
+    assert (sensor.cfa, sensor.white_level_dn) == (camera.sensor.cfa, camera.sensor.white_level_dn)
+    assert sensor.black_level_dn == camera.sensor.black_level_dn
+    span = camera.sensor.white_level_dn - max(camera.sensor.black_level_dn)
+    for entry in truth["isos"]:
+        assert 0.6 < entry["flats"][-1]["mean_level_dn"] / span < 0.83
+
+
+# --- arguments --------------------------------------------------------------------------------------------------------
+
+
+def test_gains_too_far_apart_for_the_shutter(tmp_path: Path) -> None:
+    far = replace(DEMO_GAMMA.noise_at(800), iso=409600, gain_dn_per_e=0.095 * 4096)
+    camera = replace(DEMO_GAMMA, noise=(*DEMO_GAMMA.noise, far))
+    with pytest.raises(ArgumentError, match="ISO 409600 would need exposures below 1/8000 s"):
+        make_calibration_frames(tmp_path, **{**FEW, "isos": (409600,)}, camera=camera)

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from eldata.evaluation import EvaluationResult
 
 SIZE = (64, 96)
-MARGIN, CAPTION = 16, 26
 
 
 @pytest.fixture
@@ -37,12 +36,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Eval
     return folder, run_demo(folder, scenes=1)
 
 
-def sheet_size(rows: int, height: int, width: int, columns: int = 4) -> tuple[int, int]:
-    """Width and height of a sheet."""
-    return columns * (width + MARGIN) + MARGIN, rows * (height + CAPTION + MARGIN) + MARGIN
-
-
-def test_the_whole_path(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
+def test_the_whole_path_to_better_scores_everywhere(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     folder, results = demo
     assert set(results) == {"amplified", "dct", "network"}
     for result in results.values():
@@ -51,10 +45,6 @@ def test_the_whole_path(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     assert len(list((folder / "data").rglob("*.dng"))) == 32
     assert (folder / "manifests" / "eld-demo.csv").is_file()
     assert not list(folder.rglob("*.part"))
-
-
-def test_denoisers_beat_the_amplified_input_everywhere(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
-    _, results = demo
     for name in ("dct", "network"):
         for before, after in zip(results["amplified"].table, results[name].table, strict=True):
             assert after.psnr_db > before.psnr_db + 3
@@ -67,20 +57,13 @@ def test_what_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     run_demo(folder, scenes=2)
     out = capsys.readouterr().out
     commands = [shlex.split(line)[1:] for line in out.splitlines() if line.startswith("$ ")]  # to be pasted
-    assert [command[1] for command in commands] == [
-        "verify",
-        "baseline",
-        "baseline",
-        "evaluate",
-        "evaluate",
-        "evaluate",
-    ]
+    assert [command[1] for command in commands] == ["verify", *["baseline"] * 2, *["evaluate"] * 3]
     for command in commands:
         assert parser().parse_args(command[1:]).root == str(folder / "data")
     for words in ("64 raw files", "all well", "eldata verify", "eldata evaluate", "24 of 24", "contact-sheet.png"):
         assert words in out
     with Image.open(folder / "contact-sheet.png") as image:
-        assert image.size == sheet_size(2, 32, 48)
+        assert image.size == (4 * (48 + 16) + 16, 2 * (32 + 26 + 16) + 16)  # with margins, and captions of 26 rows
 
 
 def test_training_on_the_demo(
@@ -101,13 +84,10 @@ def test_training_on_the_demo(
     assert clean == [f"data/clean/Demo{name}/scene-{number}.dng" for name in ("Alpha", "Beta") for number in (2, 3)]
     assert f"epoch 0: step {len(clean) * 4 // 8}," in "\n".join(lines)
     scores = {name: json.loads((folder / f"{name}.json").read_text()) for name in ("amplified", "trained")}
-    before, after = (
-        np.mean([image["psnr_db"] for image in scores[name]["images"]]) for name in ("amplified", "trained")
-    )
+    before, after = (np.mean([image["psnr_db"] for image in found["images"]]) for found in scores.values())
     assert {image["scene"] for image in scores["trained"]["images"]} == {"scene-1"}
-    assert (
-        last == f"trained: {abs(after - before):.2f} dB {'above' if after > before else 'below'} the amplified input."
-    )
+    side = "above" if after > before else "below"
+    assert last == f"trained: {abs(after - before):.2f} dB {side} the amplified input."
     shown = [shlex.split(line)[1:] for line in lines if line.startswith("$ eldata ") and "trained" in line]
     assert [one[1] for one in shown] == ["predict", "evaluate", "evaluate"]  # as the training has it, and as it is done
     assert shown[1] == shown[2]
@@ -131,14 +111,12 @@ def test_running_again_after_an_interruption(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.usefixtures("small")
-@pytest.mark.parametrize("kind", ["file-inside", "folder-inside", "is-a-file"])
-def test_a_foreign_folder_is_refused_and_left_alone(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("inside", ["notes.txt", "data/notes.txt", ""])
+def test_a_foreign_folder_is_refused_and_left_alone(inside: str, tmp_path: Path) -> None:
+    """One that holds a file or a folder, or is a file itself."""
     folder = tmp_path / "photos"
-    if kind == "is-a-file":
-        folder.write_text("mine")
-    else:
-        folder.mkdir()
-        (folder / "data").mkdir() if kind == "folder-inside" else (folder / "notes.txt").write_text("mine")
+    (folder / inside).parent.mkdir(parents=True, exist_ok=True)
+    (folder / inside).write_text("mine")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(EldataError, match="photos"):
         run_demo(folder, scenes=1)

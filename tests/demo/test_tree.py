@@ -1,16 +1,17 @@
 from __future__ import annotations
 
-import hashlib
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-import rawpy
 
 from eldata.datasets import ELDDataset
+from eldata.demo import scenes
 from eldata.demo.camera import CAMERAS
 from eldata.demo.tree import make_tree
 from eldata.raw.reading import exposure_ratio, read_raw
+from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,18 +27,13 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Manifest]:
     return folder, make_tree(folder, scenes=2, size=SIZE)
 
 
-def digests(folder: Path) -> dict[str, str]:
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
-
-
 def test_the_same_seed_gives_the_same_bytes(tree: tuple[Path, Manifest], tmp_path: Path) -> None:
     make_tree(tmp_path, scenes=2, size=SIZE)
-    assert digests(tmp_path) == digests(tree[0])
-    assert len(digests(tmp_path)) == 2 * 2 * 16 + 2
+    first, second = (
+        {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*.*")} for folder in (tree[0], tmp_path)
+    )
+    assert first == second
+    assert len(first) == 2 * 2 * 16 + 2
 
 
 def test_no_two_frames_share_their_noise(tree: tuple[Path, Manifest]) -> None:
@@ -46,16 +42,6 @@ def test_no_two_frames_share_their_noise(tree: tuple[Path, Manifest]) -> None:
     assert abs(np.corrcoef((first - first.mean()).ravel(), (second - second.mean()).ravel())[0, 1]) > 0.9  # one scene
     difference = first - second
     assert 1 < difference.std() < 100
-
-
-def test_libraw_agrees_on_phase_and_levels(tree: tuple[Path, Manifest]) -> None:
-    folder = tree[0] / "data" / "ELD-demo"
-    for camera in CAMERAS:
-        with rawpy.imread(str(folder / camera.name / "scene-1" / "IMG_0001.dng")) as raw:
-            assert raw.raw_pattern is not None
-            assert raw.raw_pattern.tolist() == [list(row) for row in camera.sensor.cfa]
-            assert tuple(raw.black_level_per_channel) == camera.sensor.black_level_dn
-            assert raw.white_level == camera.sensor.white_level_dn
 
 
 def test_exposures_are_the_manifests_and_ratios_exact(tree: tuple[Path, Manifest]) -> None:
@@ -83,3 +69,53 @@ def test_noisy_frames_have_the_light_that_their_ratio_says(tree: tuple[Path, Man
         row = gain * camera.sigma_row_e / span * sample["ratio"] / np.sqrt(SIZE[0])
         reference = float(sample["target"].mean())
         assert float(sample["input"].mean()) - bias == pytest.approx(reference, rel=0.03, abs=5 * row)
+
+
+# --- scenes -----------------------------------------------------------------------------------------------------------
+
+BASE = (1, 2, 3, 4)
+NUMBERS = (*BASE, 5, 6, 7, 8, 1001)
+SIZES = ((64, 64), (65, 97), (256, 384), (301, 200), (64, 301))
+
+
+@in_one_test("number", NUMBERS)
+@in_one_test("height, width", SIZES)
+def test_radiance_is_finite_float32_between_0_and_1(number: int, height: int, width: int) -> None:
+    radiance = scenes.scene_radiance(number, height, width)
+    assert radiance.shape == (3, height, width)
+    assert radiance.dtype == np.float32
+    assert np.isfinite(radiance).all()
+    assert radiance.min() >= 0
+    assert radiance.max() <= 1
+
+
+@in_one_test("number", NUMBERS)
+def test_scene_has_dark_and_bright_regions_and_small_highlights(number: int) -> None:
+    radiance = scenes.scene_radiance(number, 256, 384)
+    assert np.percentile(radiance, 1) < 5e-3
+    assert np.percentile(radiance, 99.5) > 0.4
+    assert 0 < (radiance == 1).mean() < 1e-3  # a glint may saturate, a surface may not
+
+
+def test_scenes_and_their_variations_differ() -> None:
+    pictures = {number: scenes.scene_radiance(number, 64, 96) for number in range(1, 13)}
+    for one, other in itertools.combinations(pictures, 2):
+        difference = np.abs(np.sqrt(pictures[one]) - np.sqrt(pictures[other])).mean()
+        assert difference > 0.02, (one, other)
+
+
+def test_a_scene_looks_the_same_at_two_sizes() -> None:
+    for number in BASE:
+        large = scenes.scene_radiance(number, 256, 384).reshape(3, 64, 4, 96, 4).mean((2, 4))
+        small = scenes.scene_radiance(number, 64, 96)
+        assert np.abs(np.sqrt(large) - np.sqrt(small)).mean() < 0.02, number
+
+
+def test_patches_hold_the_declared_colours_times_the_light() -> None:
+    stage, radiance = scenes._Stage(1, 256, 384), scenes.scene_radiance(1, 256, 384)
+    declared = np.asarray(scenes.CHART_SRGB).reshape(4, 6, 3) / 255
+    declared = np.where(declared <= 0.04045, declared / 12.92, ((declared + 0.055) / 1.055) ** 2.4)
+    for row, column in np.ndindex(4, 6):
+        right, down = map(int, stage.pixel(-0.40 + 0.282 * (column - 2.5), -0.04 + 0.282 * (row - 1.5)))
+        light = stage.light[:, down, right]
+        np.testing.assert_allclose(radiance[:, down, right], declared[row, column] * light, rtol=1e-5)

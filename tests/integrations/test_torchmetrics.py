@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import math
 import shutil
-import subprocess
 import sys
-from fractions import Fraction
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +16,16 @@ import pytest
 import torch
 
 from eldata import metrics
-from eldata.errors import ArgumentError
+from eldata.datasets import ELDDataset, PackedStore
+from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate
 from eldata.metrics.image_score import factor_by, score_by
 from eldata.metrics.registry import IMAGES
 from eldata.protocols import PROTOCOLS
+from eldata.raw import read_raw, write_dng
+from eldata.sources.frames import Files
+from eldata.sources.store import build_store, source_of_dataset
+from tests.cases import in_one_test
 from tests.evaluation import oracle
 from tests.evaluation.helpers import Tree, place
 
@@ -30,17 +34,11 @@ pytest.importorskip("torchmetrics", reason="needs eldata[torchmetrics]")
 import torchmetrics
 
 from eldata.integrations.torchmetrics import PSNR, SSIM, ProtocolScore
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-ROOT = Path(__file__).parents[2]
-MODULES = [
-    pytest.param(PSNR, id="PSNR"),
-    pytest.param(SSIM, id="SSIM"),
-    pytest.param(ProtocolScore, id="ProtocolScore"),
-]
+MODULES = [PSNR, SSIM, ProtocolScore]
 
 
 def images(count: int, size: tuple[int, int] = (24, 20), seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -54,11 +52,6 @@ def images(count: int, size: tuple[int, int] = (24, 20), seed: int = 0) -> tuple
 def numbers(value: Any) -> dict[str, float]:
     """What ``compute`` gave, as floats."""
     return {name: float(one) for name, one in (value if isinstance(value, dict) else {"value": value}).items()}
-
-
-def exact_mean(values: list[float]) -> float:
-    """The sum in rational numbers, rounded once; then divided as floats are."""
-    return float(sum(map(Fraction, values), Fraction(0))) / len(values)
 
 
 # --- the numbers --------------------------------------------------------------------------------------------------
@@ -78,10 +71,7 @@ def placed(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
 @pytest.mark.parametrize("protocol", ["eld", "eld-uncorrected", "led-eld", "pmn-eld"])
 def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[str, Any]], protocol: str) -> None:
     """To the last bit, by camera and factor as in the table."""
-    from eldata.sources.frames import Files
-
     rules = PROTOCOLS[protocol]
-
     folder, predictions = placed
     result = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol=protocol)
     assert result.scored == 12
@@ -95,17 +85,13 @@ def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[
             for pair in members
         ]
         metric.update(
-            torch.from_numpy(np.stack([predictions[pair.path] for pair in members])),
-            torch.from_numpy(np.stack(frames)),
+            torch.from_numpy(np.stack([predictions[pair.path] for pair in members])), torch.from_numpy(np.stack(frames))
         )
         assert numbers(metric.compute()) == {"psnr_db": row.psnr_db, "ssim": row.ssim}
 
 
 def test_whole_frames_of_a_store_give_the_score_of_evaluate(tree: Tree, tmp_path: Path) -> None:
     """A validation loop of torch over a store gives the mean that the command prints of the files, to the bit."""
-    from eldata.datasets import PackedStore
-    from eldata.sources.store import build_store, source_of_dataset
-
     build_store(source_of_dataset("eld-demo", root=tree.root, manifest=tree.manifest), tmp_path / "demo.h5")
     metric = ProtocolScore("raw")
     for item in PackedStore(tmp_path / "demo.h5", crop=None, augment=False, levels="metadata"):
@@ -119,10 +105,6 @@ def test_the_score_is_that_of_evaluate_whatever_the_clip_of_the_input(
     clip: Any, tree: Tree, placed: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     """References of which a quarter lies below black, of a dataset and as an array that keeps them."""
-    from eldata.datasets import ELDDataset
-    from eldata.raw import read_raw, write_dng
-    from eldata.sources.frames import Files
-
     folder, predictions = placed
     dark = Tree(Path(shutil.copytree(tree.folder, tmp_path / "dark")))
     for path in {pair.reference for pair in oracle.pairs(dark.files)}:
@@ -148,7 +130,7 @@ def test_the_mean_is_that_of_the_functions(module: Any, function: Callable[..., 
     preds, target = images(5)
     metric = module(data_range=data_range)
     metric.update(preds, target)
-    expected = exact_mean([function(p, g, data_range=data_range) for p, g in zip(preds, target, strict=True)])
+    expected = math.fsum(function(p, g, data_range=data_range) for p, g in zip(preds, target, strict=True)) / 5
     assert metric.compute().dtype == torch.float64
     assert float(metric.compute()) == expected
 
@@ -193,17 +175,10 @@ def test_batches_and_order_change_nothing(module: Any) -> None:
     whole = module()
     whole.update(preds, target)
     expected = numbers(whole.compute())
-    for order, cuts in (
-        ([0, 1, 2, 3, 4, 5, 6], [3, 4]),
-        ([6, 2, 4, 0, 1, 5, 3], [1, 1, 5]),
-        ([3, 2, 1, 0, 6, 5, 4], [7]),
-    ):
-        other, start = module(), 0
-        for length in cuts:
-            part = order[start : start + length]
+    for parts in ([[0, 1, 2], [3, 4, 5, 6]], [[6], [2], [4, 0, 1, 5, 3]], [[3, 2, 1, 0, 6, 5, 4]]):
+        other = module()
+        for part in parts:
             other.update(preds[part], target[part])
-            start += length
-        assert start == 7
         assert numbers(other.compute()) == expected
 
 
@@ -257,31 +232,25 @@ def test_infinite_scores() -> None:
 
 # --- processes ----------------------------------------------------------------------------------------------------
 
-WORKER = """
-import json, sys
-import torch
-from eldata.integrations.torchmetrics import PSNR, SSIM, ProtocolScore
 
-rank, world, meeting, data, answer = int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:6]
-torch.distributed.init_process_group("gloo", init_method=f"file://{meeting}", rank=rank, world_size=world)
-stored = torch.load(data, weights_only=True)
-found = {}
-for case, batches in stored["cases"].items():
-    for module in (PSNR, SSIM, ProtocolScore):
-        metric = module()
-        for batch in batches[rank]:
-            metric.update(stored["preds"][batch], stored["target"][batch])
-        metric._update_count = max(metric._update_count, 1)  # no warning of a process without images
-        for _ in range(2):  # after the first the states are this process's own again
-            value = metric.compute()
-            metric._computed = None
-        values = value if isinstance(value, dict) else {"value": value}
-        kept = sum(part.numel() for part in getattr(metric, metric.columns[0]))
-        found[f"{case} {module.__name__}"] = {n: float(v).hex() for n, v in values.items()} | {"kept": kept}
-with open(answer, "w") as file:
-    json.dump(found, file)
-torch.distributed.destroy_process_group()
-"""
+def score_parts(rank: int, folder: str, cases: dict[str, list[list[list[int]]]]) -> None:
+    """Score one of two processes' batches of each case, and write down what it finds."""
+    torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/meeting", rank=rank, world_size=2)
+    preds, target = images(6)
+    found = {}
+    for case, batches in cases.items():
+        for module in MODULES:
+            metric = module()
+            for batch in batches[rank]:
+                metric.update(preds[batch], target[batch])
+            metric._update_count = max(metric._update_count, 1)  # no warning of a process without images
+            for _ in range(2):  # after the first the states are this process's own again
+                value = metric.compute()
+                metric._computed = None
+            kept = sum(part.numel() for part in getattr(metric, metric.columns[0]))
+            found[f"{case} {module.__name__}"] = {**numbers(value), "kept": kept}
+    Path(folder, f"{rank}.json").write_text(json.dumps(found), encoding="utf-8")
+    torch.distributed.destroy_process_group()
 
 
 @pytest.mark.study
@@ -294,36 +263,16 @@ def test_two_processes_with_uneven_batches(tmp_path: Path) -> None:
         "none here": [[[0, 1, 2, 3, 4, 5]], []],
         "none first": [[], [[0], [1, 2, 3, 4, 5]]],
     }
-    torch.save({"preds": preds, "target": target, "cases": cases}, tmp_path / "data.pt")
-    arguments = ["2", str(tmp_path / "meeting"), str(tmp_path / "data.pt")]
-    workers = [
-        subprocess.Popen(
-            [sys.executable, "-c", WORKER, str(rank), *arguments, str(tmp_path / f"{rank}.json")],
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        for rank in range(2)
-    ]
-    try:
-        outputs = [worker.communicate(timeout=PATIENCE_S)[0] for worker in workers]
-    finally:
-        for worker in workers:
-            worker.kill()
-            worker.wait()
-    assert [worker.returncode for worker in workers] == [0, 0], "\n".join(outputs)
+    torch.multiprocessing.spawn(score_parts, (str(tmp_path), cases), nprocs=2)  # type: ignore[no-untyped-call]
     found = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
-    assert len(found[0]) == 4 * 3
-    for module in (PSNR, SSIM, ProtocolScore):
+    for module in MODULES:
         alone = module()
         alone.update(preds, target)
-        expected = {name: value.hex() for name, value in numbers(alone.compute()).items()}
         for case, batches in cases.items():
             for rank in range(2):
                 answer = found[rank][f"{case} {module.__name__}"]
                 assert answer.pop("kept") == sum(map(len, batches[rank])), "states are the process's own again"
-                assert answer == expected, case
+                assert answer == numbers(alone.compute()), case
 
 
 # --- bad input ----------------------------------------------------------------------------------------------------
@@ -357,41 +306,28 @@ def test_a_batch_with_one_bad_image_adds_none_of_it() -> None:
     assert metric.ssim == []
 
 
-def test_bad_arguments() -> None:
-    with pytest.raises(ArgumentError, match="data_range must be positive"):
-        PSNR(data_range=0.0)
-    with pytest.raises(ArgumentError, match="data_range must be positive"):
-        SSIM(data_range=math.inf)
-    with pytest.raises(ArgumentError, match="threads must be at least 1"):
-        ProtocolScore(threads=0)
-    with pytest.raises(ArgumentError, match="no protocol is called 'elf'"):
-        ProtocolScore("elf")
-    with pytest.raises(ArgumentError, match="protocol 'sid2018' is of renderings"):
-        ProtocolScore("sid2018")
-    with pytest.raises(ValueError, match="Unexpected keyword arguments"):
-        PSNR(data_rnage=1.0)
+@in_one_test(
+    "module, arguments, reason",
+    [
+        (PSNR, {"data_range": 0.0}, "data_range must be positive"),
+        (SSIM, {"data_range": math.inf}, "data_range must be positive"),
+        (ProtocolScore, {"threads": 0}, "threads must be at least 1"),
+        (ProtocolScore, {"protocol": "elf"}, "no protocol is called 'elf'"),
+        (ProtocolScore, {"protocol": "sid2018"}, "protocol 'sid2018' is of renderings"),
+        (ProtocolScore, {"protocol": "drv-raw"}, "protocol 'drv-raw' is of clips"),
+    ],
+)
+def test_bad_arguments(module: Any, arguments: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ArgumentError, match=reason):
+        module(**arguments)
 
 
 # --- without torchmetrics -----------------------------------------------------------------------------------------
 
-WITHOUT = """
-import sys
-sys.modules["torchmetrics"] = None  # what an import of a package that is not installed meets
-import eldata.metrics
-assert eldata.metrics.psnr and eldata.metrics.score
-from eldata.errors import EldataError
-for kind in (EldataError, ImportError):
-    try:
-        import eldata.integrations.torchmetrics
-    except kind as error:
-        assert "pip install 'eldata[torchmetrics]'" in str(error), error
-        assert "\\n" not in str(error)
-    else:
-        raise SystemExit("imported")
-print("said so")
-"""
 
-
-def test_without_torchmetrics_the_rest_works_and_the_error_says_what_to_install() -> None:
-    done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
-    assert done.stdout == "said so\n", done.stderr
+def test_without_torchmetrics_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torchmetrics", None)  # what an import of a package that is not installed meets
+    monkeypatch.delitem(sys.modules, "eldata.integrations.torchmetrics")
+    with pytest.raises(EldataError, match=r"^[^\n]+pip install 'eldata\[torchmetrics\]'[^\n]+$") as caught:
+        import_module("eldata.integrations.torchmetrics")
+    assert isinstance(caught.value, ImportError)

@@ -1,4 +1,4 @@
-"""The noise model on the CPU: closed forms, distributions, structure, and what its arguments do."""
+"""The noise model on the CPU: the converter, what its arguments do, noise on whole mosaics, noise of one's own."""
 
 from __future__ import annotations
 
@@ -10,21 +10,20 @@ import numpy as np
 import pytest
 import torch
 
+from eldata.datasets import Arrays, SyntheticPairs
 from eldata.errors import ArgumentError
 from eldata.noise import Adc, NoiseDraw, NoiseModel, NoiseParameters
+from eldata.noise.model import made_exposure, pack_whole, unpack_whole
 from tests.cases import in_one_test
-from tests.noise.helpers import (
-    PARAMETERS,
-    RANGE_DN,
-    RATIO,
-    compiled_dn,
-)
+from tests.noise.helpers import PARAMETERS, RANGE_DN, RATIO, compiled_dn
+from tests.raw.helpers import CFAS, levels_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 FULL = "P*+G*+B+R+U"
 FLAT = np.full((4, 6, 8), 0.25, dtype=np.float32)
+PAIR = np.stack([FLAT, FLAT])
 
 
 def noisy(clean: Any, spec: str = FULL, *, seed: int = 0, model: NoiseModel | None = None, **options: Any) -> Any:
@@ -129,10 +128,7 @@ def test_the_clean_data_is_not_written_to() -> None:
     result = noisy(clean)
     assert not np.shares_memory(result, clean)
     np.testing.assert_array_equal(clean, FLAT)
-    tensor = torch.from_numpy(FLAT.copy()).requires_grad_()
-    noisy_tensor = noisy(tensor)
-    assert not noisy_tensor.requires_grad
-    np.testing.assert_array_equal(tensor.detach().numpy(), FLAT)
+    assert not noisy(torch.from_numpy(clean.copy()).requires_grad_()).requires_grad
 
 
 # --- determinism ----------------------------------------------------------------------------------------------------
@@ -187,6 +183,8 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ),
     *(({"parameters": given}, "parameters") for given in (None, {"gain_dn_per_e": 1.0}, [None])),
     ({"dark": FLAT[None]}, "dark= is for models with component D"),
+    ({"range_dn": None}, r"give range_dn.*do not know it"),
+    ({"clean": PAIR, "range_dn": None, "parameters": [PARAMETERS, replace(PARAMETERS, range_dn=9)]}, "differ in it"),
 ]
 
 
@@ -213,13 +211,6 @@ def test_what_a_model_refuses(given: dict[str, Any], said: str) -> None:
 # --- memory of the caller's -----------------------------------------------------------------------------------------
 
 
-def test_where_to_write() -> None:
-    clean = np.random.default_rng(1).random((2, 4, 6, 8), np.float32)
-    out = np.full_like(clean, np.nan)
-    assert noisy(clean, out=out) is out or np.shares_memory(noisy(clean, out=out), out)
-    same_bits(out, noisy(clean))
-
-
 @pytest.mark.parametrize("columns", [1, 3, 64, 171, 512, 513])
 def test_narrow_images_have_the_noise_of_their_pixels_numbers(columns: int) -> None:
     """Without row noise a pixel's number alone counts: however many rows a strip takes, one long row has the same."""
@@ -229,10 +220,156 @@ def test_narrow_images_have_the_noise_of_their_pixels_numbers(columns: int) -> N
     same_bits(noisy(clean, "P*+G*+B+U").ravel(), line.ravel())
 
 
-def test_where_nothing_can_be_written() -> None:
-    clean = np.zeros((2, 4, 6, 8), np.float32)
+def test_where_to_write() -> None:
+    clean = np.random.default_rng(1).random((2, 4, 6, 8), np.float32)
+    out = np.full_like(clean, np.nan)
+    assert np.shares_memory(noisy(clean, out=out), out)
+    same_bits(out, noisy(clean))
     for wrong in (clean, np.empty((2, 4, 6, 8)), np.empty((2, 4, 6, 16), np.float32)[..., ::2], [0.0]):
         with pytest.raises(ArgumentError, match=r"out must be a writeable .* of shape \(2, 4, 6, 8\)"):
             noisy(clean, out=wrong)
     with pytest.raises(ArgumentError, match="out= is for arrays"):
         noisy(torch.zeros(2, 4, 6, 8), out=np.empty((2, 4, 6, 8), np.float32))
+
+
+# --- whole mosaics: no pixel is left out ---------------------------------------------------------------------------
+
+OF_MOSAIC = NoiseParameters(1.5, -0.1, 2.0, 3.0, 4.0, (10.0, 20.0, 30.0, 40.0))
+
+
+@in_one_test("name", CFAS)
+@in_one_test("shape", [(12, 18), (13, 17), (2, 3, 11, 8), (6, 6), (1, 1)])
+def test_whole_mosaics_come_back(name: str, shape: tuple[int, ...]) -> None:
+    mosaic = np.random.default_rng(0).random(shape).astype(np.float32)
+    packed = pack_whole(mosaic, CFAS[name])
+    np.testing.assert_array_equal(unpack_whole(packed, CFAS[name], shape[-2:]), mosaic)  # type: ignore[arg-type] # two
+    tensor = pack_whole(torch.from_numpy(mosaic), CFAS[name])
+    np.testing.assert_array_equal(tensor.numpy(), packed)
+
+
+@pytest.mark.parametrize(
+    "name", ["RGGB", "GBRG", "BGGR", "xtrans-00", "xtrans-23", "quad-00", "quad-23", "nona-00", "nona-14"]
+)
+def test_rows_and_biases_are_those_of_the_mosaic(name: str) -> None:
+    """R alone: every mosaic row is constant, and the rows are independent. B alone: the bias follows the CFA."""
+    cfa = np.asarray(CFAS[name])
+    clean = np.zeros((601, 37), np.float32)
+
+    def noise(spec: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+        generator = np.random.default_rng(1)
+        model = NoiseModel(spec)
+        noisy = model.on_mosaic(
+            clean, cfa=cfa, parameters=OF_MOSAIC, ratio=100.0, range_dn=RANGE_DN, generator=generator
+        )
+        assert noisy.shape == clean.shape
+        return noisy * np.float32(RANGE_DN / 100)
+
+    rows = noise("R")
+    assert np.ptp(rows, axis=1).max() == 0
+    draws = rows[:, 0].astype(np.float64)
+    n = len(draws)
+    # 5 standard errors of a standard deviation and of a lag-one correlation.
+    assert abs(draws.std() / OF_MOSAIC.sigma_row_dn - 1) < 5 / np.sqrt(2 * n)
+    assert abs(np.corrcoef(draws[1:], draws[:-1])[0, 1]) < 5 / np.sqrt(n)
+
+    bias = noise("B")
+    y, x = np.indices(clean.shape)
+    index = cfa[y % len(cfa), x % len(cfa)]
+    levels = np.array([10.0, 20.0, 30.0, 40.0] if levels_of(CFAS[name]) == 4 else [10.0, 30.0, 30.0])
+    np.testing.assert_allclose(bias, levels[index], rtol=1e-5)
+
+
+# --- noise of one's own ---------------------------------------------------------------------------------------------
+
+DRAW = NoiseDraw(NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0), 100.0, 15871.0)
+
+
+def brighter(clean: Any, *, parameters: Any, ratio: float, range_dn: float, generator: np.random.Generator) -> Any:
+    """Twice the light and 1 % of noise, from all that it is told."""
+    clean *= 2
+    return clean + generator.normal(0, 0.01, clean.shape) + 0 * (parameters.gain_dn_per_e + ratio + range_dn)
+
+
+class Scaled:
+    """An object, as a torch module is."""
+
+    def __init__(self, by: float) -> None:
+        self.by = by
+
+    def __call__(self, clean: Any, **_: Any) -> Any:
+        return torch.from_numpy(clean) * self.by
+
+    def __repr__(self) -> str:
+        return f"Scaled({self.by})"
+
+
+def adapted(clean: Any, *, ratio: float, generator: np.random.Generator, **_: Any) -> Any:
+    """Call a network of somebody else's, which draws from torch's own generator, as docs/noise.md shows."""
+    with torch.inference_mode(), torch.random.fork_rng([]):
+        torch.manual_seed(int(generator.integers(2**63 - 1)))
+        image = torch.from_numpy(clean).reshape(-1, *clean.shape[-3:]) / ratio
+        return ((image + 0.01 * torch.randn(image.shape)) * ratio).reshape(clean.shape).numpy()
+
+
+def pairs(model: Any, **options: Any) -> SyntheticPairs:
+    source = Arrays(np.full((1, 4, 64, 64), 0.3, np.float32), range_dn=15871.0)
+    return SyntheticPairs(source, "SonyA7S2", model=model, **{"crop": 32, "crops_per_frame": 4} | options)
+
+
+def test_a_function_makes_the_noise() -> None:
+    """4096 pixels of 1 % noise around twice the light: mean and deviation within 5 standard errors."""
+    item = pairs(brighter)[1]
+    noise = item["input"].double().numpy() - 0.6
+    assert abs(noise.mean()) < 5 * 0.01 / 64
+    assert abs(noise.std() / 0.01 - 1) < 5 / np.sqrt(2 * 4096)
+    assert torch.equal(item["target"], torch.full((4, 32, 32), 0.3))  # what it wrote to was its own
+    assert torch.equal(item["input"], pairs(brighter)[1]["input"])
+    assert not torch.equal(item["input"], pairs(brighter)[2]["input"])
+    assert item["input"].dtype == torch.float32
+
+
+def test_an_object_and_the_clip_of_the_dataset() -> None:
+    """A tensor of the CPU is as good as an array; the dataset clips as it does for our own model."""
+    for by, clip, value in ((5.0, "both", 1.0), (5.0, "none", 1.5), (-1.0, "upper", -0.3), (-1.0, "both", 0.0)):
+        item = pairs(Scaled(by), clip=clip)[0]
+        np.testing.assert_allclose(item["input"].numpy(), value, rtol=1e-6)
+    assert "Scaled(2.0), clip='upper'" in repr(pairs(Scaled(2.0), clip="upper"))
+    assert "brighter, clip='both'" in repr(pairs(brighter))
+
+
+@in_one_test(
+    "model, words",
+    [
+        ("G+P", r"give NoiseModel\('G\+P'\)"),
+        (5, "must be a NoiseModel, or an object to be called as .*; found 5"),
+        (NoiseModel, "must be a NoiseModel, .*; found <class"),
+        (lambda clean: clean, "cannot be called .* unexpected keyword"),
+        (lambda clean, iso, **_: clean * iso, "cannot be called .* missing .*: 'iso'"),
+    ],
+)
+def test_what_cannot_make_noise_is_refused_before_the_first_item(model: Any, words: str) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        pairs(model)
+
+
+@in_one_test(
+    "result, words",
+    [
+        (FLAT[0], r"<lambda> returned float32 of shape \(6, 8\); expected .*, \(4, 6, 8\)"),
+        (FLAT.astype(np.uint16), "returned uint16 of shape"),
+        (None, "returned NoneType; expected"),
+    ],
+)
+def test_what_is_not_an_exposure(result: Any, words: str) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        made_exposure(lambda *_, **__: result, FLAT, DRAW, np.random.default_rng(0))
+
+
+def test_a_network_of_somebody_elses() -> None:
+    before = torch.random.get_rng_state()
+    items = [pairs(adapted, ratio=1.0)[index]["input"] for index in (0, 1, 0)]
+    assert torch.equal(before, torch.random.get_rng_state())  # which the dataset's user may draw from, too
+    assert torch.equal(items[0], items[2])
+    assert not torch.equal(items[0], items[1])
+    noise = items[0].double() - 0.3
+    assert abs(float(noise.std()) / 0.01 - 1) < 5 / np.sqrt(2 * 4096)

@@ -25,8 +25,8 @@ from tests.noise.helpers import (
     PARAMETERS,
     RANGE_DN,
     RATIO,
+    SIGNALS_E,
     Law,
-    check_closed_forms,
     clean_of,
     compiled_dn,
     device_dn,
@@ -79,8 +79,26 @@ def test_a_converter_of_another_step(draw: Callable[..., Any]) -> None:
 @pytest.mark.parametrize("draw", [*ENGINES, plain_dn])
 @pytest.mark.parametrize(("spec", "step"), [("P", 1.0), ("G+P", 1.0), (FULL, 1.0), (FULL, 12.5)])
 def test_means_and_variances(spec: str, step: float, draw: Callable[..., Any]) -> None:
-    """See check_closed_forms for sizes and tolerances."""
-    check_closed_forms(draw, spec, replace(PARAMETERS, quantisation_step_dn=step), seed=1)
+    """Channel means and the variance at each signal.
+
+    Each image has 4096 rows of 16 entries in each of four channels: 65536 pixels for a mean, 262144 pixels in 8192
+    mosaic rows for the variance. 5 standard errors, 35 comparisons: false alarms below 1e-4 for all seven models.
+    """
+    parameters = replace(PARAMETERS, quantisation_step_dn=step)
+    shape = (4, 4096, 16)
+    pixels, rows = 4096 * 16, 4096
+    dn = draw(spec, clean_of(SIGNALS_E, shape, parameters), parameters, seed=1)
+    assert np.isfinite(dn).all()
+    for signal_e, image in zip(SIGNALS_E, dn, strict=True):
+        laws = [Law.of(spec, parameters, float(signal_e), bias) for bias in parameters.colour_bias_dn]
+        for channel, law in zip(image, laws, strict=True):
+            # The second term: float32 of the clean value, of the product and of the result.
+            tolerance = 5 * law.mean_error(pixels, rows) + 3e-7 * abs(law.mean)
+            assert abs(channel.mean() - law.mean) <= tolerance, (signal_e, channel.mean(), law)
+        square = np.mean([np.mean((channel - law.mean) ** 2) for channel, law in zip(image, laws, strict=True)])
+        law = laws[0]
+        tolerance = 5 * law.variance_error(4 * pixels, 2 * rows) + 1e-9
+        assert abs(square - law.variance - law.row_variance) < tolerance, (signal_e, square, law)
 
 
 @pytest.mark.parametrize("draw", ENGINES)
@@ -251,9 +269,6 @@ def test_the_model_on_a_gpu(lead: tuple[int, ...], dtype: torch.dtype) -> None:
     result = draw(torch.Generator("cuda").manual_seed(0))
     assert (result.shape, result.dtype, result.device) == (clean.shape, dtype, clean.device)
     assert torch.equal(result, draw(torch.Generator("cuda").manual_seed(0)))
-    for generator in (torch.Generator(), np.random.default_rng(0), None):
-        with pytest.raises(ArgumentError, match=r"clean is on cuda:0: give a torch\.Generator of that device"):
-            draw(generator)
 
 
 def test_the_model_asks_for_a_generator_of_the_device() -> None:

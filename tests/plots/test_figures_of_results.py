@@ -1,7 +1,8 @@
-"""Results, profiles and calibrations draw what they hold, print as one line, and show in a notebook."""
+"""Results, profiles, calibrations and datasets draw what they hold, print as one line, and show in a notebook."""
 
 from __future__ import annotations
 
+import re
 import struct
 import sys
 from dataclasses import replace
@@ -11,33 +12,70 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from eldata import CalibrationFrames, DRVDataset, ELDDataset, PackedStore, SyntheticPairs
 from eldata.calibration.flats import PhotonTransferLine
-from eldata.errors import ArgumentError
+from eldata.datasets import Arrays
+from eldata.datasets.items import describe_sample
+from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.comparison import compare
+from eldata.isp.rendering import brightening, preview
 from eldata.noise import CameraProfile
-from eldata.plots.axes import LIGHT
+from eldata.plots.axes import LIGHT, MARKERS
+from eldata.plots.pictures import side_by_side
 from eldata.protocols import PROTOCOLS
-from tests.plots.notebooks import assert_one_line, assert_shows_in_a_notebook
+from eldata.raw import read_raw
+from tests.calibration.trees import CAMERA, made_tree
+from tests.drv_tree import small_drv
 from tests.reports.calibrations import calibration, camera_at, measured
 from tests.reports.evaluations import result
-from tests.reports.pages import HOSTILE
+from tests.reports.pages import HOSTILE, checked
+from tests.sources.store.helpers import pack_tree
+from tests.trees import copy_tree
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from matplotlib.axes import Axes
 
     from eldata.calibration.results import Calibration
+    from tests.trees import Tree
+
+
+# Colours of the page's own, and greys that show on white and on black.
+_COLOURS = {"inherit", "none"}
+
+
+def assert_one_line(shown: object, part: str) -> None:
+    text = repr(shown)
+    assert part in text
+    assert "\n" not in text
+    assert text.isprintable()
+
+
+def assert_shows_in_a_notebook(shown: Any, *parts: str) -> None:
+    """Well-formed, without script, style sheet or address, readable on a dark page; it says these texts."""
+    html = shown._repr_html_()
+    page = checked(html)
+    for part in parts:
+        assert part in page.text, part
+    assert {tag for tag, _ in page.elements} <= {
+        *("div", "p", "b", "table", "thead", "tbody", "tr", "th", "td", "figure", "img", "figcaption")
+    }
+    for tag, attributes in page.elements:
+        assert set(attributes) <= ({"src", "alt"} if tag == "img" else {"style"}), tag
+        for colour in re.findall(r"(?:^|; )(?:color|background): ([^;]+)", attributes.get("style", "")):
+            assert colour in _COLOURS
+    for picture in page.all("img"):
+        assert picture["alt"]
+        assert picture["src"].startswith("data:image/jpeg;base64,")
+        assert len(picture["src"]) < 30_000
+    assert page.text.replace("\n", " ").isprintable()
 
 
 def points_of(axes: Axes) -> list[tuple[float, float]]:
     """What is drawn as points, in data units, the bars of errors left out."""
-    lines = [
-        line for line in axes.lines if line.get_linestyle() == "None" and line.get_marker() in ("o", "s", "^", "D")
-    ]
-    return [
-        (float(x), float(y))
-        for line in lines
-        for x, y in zip(np.asarray(line.get_xdata()), np.asarray(line.get_ydata()), strict=True)
-    ]
+    lines = [line for line in axes.lines if line.get_linestyle() == "None" and line.get_marker() in MARKERS]
+    return [(float(x), float(y)) for line in lines for x, y in np.asarray(line.get_xydata())]
 
 
 def bars_of(axes: Axes) -> list[tuple[list[float], list[float]]]:
@@ -101,11 +139,8 @@ def test_infinite_scores_are_left_out() -> None:
         replace(scored, scores=()).plot()
     with pytest.raises(ArgumentError, match="no score is finite"):
         replace(scored, scores=(perfect,)).plot()
-
-
-def test_an_unknown_metric_is_named_with_the_known_ones() -> None:
     with pytest.raises(ArgumentError, match=r"psnr_db.*ssim"):
-        result(scenes=2).plot("psnr")
+        scored.plot("psnr")
 
 
 def test_the_axes_of_others_are_drawn_into() -> None:
@@ -148,12 +183,10 @@ def test_hostile_names_stay_text() -> None:
 
 
 def test_many_rows_are_counted() -> None:
-    scored = result(scenes=2)
     profile = CameraProfile.load("SonyA7S2")
     many = replace(profile, rows=profile.rows * 5)
     assert_shows_in_a_notebook(many, f"… and {len(many.rows) - 60} more")
     assert "more" not in profile._repr_html_().split("</table>")[0]
-    assert len(scored._repr_html_()) < 20_000
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
@@ -170,17 +203,14 @@ def test_every_protocol_in_one_line_and_in_a_notebook(name: str) -> None:
 def test_a_profile_draws_its_lines_and_rows() -> None:
     profile = CameraProfile.load("SonyA7S2")
     figure = profile.plot()
-    assert [axes.get_title() for axes in figure.axes] == [
-        "read noise, Tukey lambda",
-        "read noise, Gaussian",
-        "row noise",
-    ]
     (mode,) = profile.gain_modes
-    fields = ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
-    for axes, field, fit in zip(
-        figure.axes, fields, (mode.tukey_lambda_fit, mode.gauss_fit, mode.row_fit), strict=True
+    for axes, title, field, fit in (
+        (figure.axes[0], "read noise, Tukey lambda", "sigma_tl_dn", mode.tukey_lambda_fit),
+        (figure.axes[1], "read noise, Gaussian", "sigma_gauss_dn", mode.gauss_fit),
+        (figure.axes[2], "row noise", "sigma_row_dn", mode.row_fit),
     ):
         assert fit is not None
+        assert axes.get_title() == title
         assert (axes.get_xscale(), axes.get_yscale(), axes.get_xlabel()) == ("log", "log", "K [DN/e⁻]")
         rows = [(row.gain_dn_per_e, getattr(row, field)) for row in profile.rows]
         assert sorted(points_of(axes)) == sorted((k, s) for k, s in rows if k is not None and s)
@@ -210,11 +240,9 @@ def test_one_sigma_of_a_profile() -> None:
 
 @pytest.fixture(scope="module")
 def found() -> Calibration:
-    """Three ISOs of small frames, one of them without flats."""
-    isos = (400.0, 800.0, 1600.0, 3200.0)
-    return calibration(
-        [measured(iso, camera_at(iso), frames=4, levels=() if iso == 800 else (800, 7000)) for iso in isos]
-    )
+    """Four ISOs of small frames, one of them without flats."""
+    levels = {400.0: (800, 7000), 800.0: (), 1600.0: (800, 7000), 3200.0: (800, 7000)}
+    return calibration([measured(iso, camera_at(iso), frames=4, levels=levels[iso]) for iso in levels])
 
 
 def test_a_calibration_draws_what_it_found(found: Calibration) -> None:
@@ -246,9 +274,7 @@ def test_the_photon_transfer_of_an_iso(found: Calibration) -> None:
     fitted = [line for line in axes.lines if line.get_color() == LIGHT.theory]
     slopes = [np.diff(line.get_ydata())[0] / np.diff(line.get_xdata())[0] for line in fitted]
     assert slopes == pytest.approx([line.gain_dn_per_e for line in transfer.channels], rel=1e-9)
-    with pytest.raises(
-        ArgumentError, match="no photon transfer was measured at ISO 800; ISOs with one: 400, 1600, 3200"
-    ):
+    with pytest.raises(ArgumentError, match="no photon transfer was measured at ISO 800; ISOs with one: 400, 1600, 32"):
         found.plot(iso=800)
 
 
@@ -283,3 +309,128 @@ def test_the_settings_of_others_stay() -> None:
         assert dict(mpl.rcParams) == before
         assert figure.axes[0].spines["left"].get_edgecolor() != mpl.colors.to_rgba("magenta")
         assert figure.axes[0].yaxis.label.get_fontsize() == 10
+
+
+# --- datasets draw their items as they are given ---------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def eld(pristine: Tree) -> ELDDataset:
+    return ELDDataset(pristine.data, manifest=pristine.csv)
+
+
+def images_of(figure: Figure) -> list[Any]:
+    """The array of each picture, as matplotlib holds it."""
+    return [image.get_array() for axes in figure.axes for image in axes.images]
+
+
+def titles_of(figure: Figure) -> list[str]:
+    return [axes.get_title() for axes in figure.axes if axes.images]
+
+
+def test_a_pair_is_drawn_as_it_is_given(eld: ELDDataset, pristine: Tree) -> None:
+    index = 1
+    sample, record = eld[index], eld.records[index]
+    figure = eld.plot(index)
+    assert isinstance(figure, Figure)
+    assert figure.get_suptitle().splitlines() == [
+        f"{record.camera}, {record.scene}, ISO {sample['iso']:g}, ×{sample['ratio']:g}",
+        record.path,
+    ]
+    noisy, clean, error = images_of(figure)
+    sensor = read_raw(pristine.data / record.reference).sensor
+    # One stretch for both sides, found on the target; colours are the reference's.
+    brighter = brightening(sample["target"].numpy())
+    assert brighter > 1
+    np.testing.assert_array_equal(noisy, preview(sample["input"].numpy() * brighter, sensor))
+    np.testing.assert_array_equal(clean, preview(sample["target"].numpy() * brighter, sensor))
+    expected = (sample["input"] - sample["target"]).abs().mean(0).numpy()
+    np.testing.assert_allclose(error, expected, rtol=1e-6)
+    more = f", {brighter:g} times as bright"
+    ours = [f"input ×{sample['ratio']:g}{more}", f"target{more}", "absolute error, mean of channels"]
+    assert titles_of(figure) == ours
+    scale = figure.axes[2].images[0]
+    assert scale.get_clim() == pytest.approx(np.quantile(expected, (0.002, 0.998)), rel=1e-6)
+
+
+def test_a_store_draws_its_crop(pristine: Tree, tmp_path: Path) -> None:
+    packed = PackedStore(pack_tree(pristine, tmp_path / "eld.h5").store, crop=16, crops_per_frame=2, seed=3)
+    noisy, clean, _ = images_of(packed.plot(5))
+    assert noisy.shape == clean.shape == (16, 16, 3)
+    sample = packed[5]
+    shown = preview(sample["target"].numpy() * brightening(sample["target"].numpy()), packed._seen(5)[1])
+    np.testing.assert_array_equal(clean, shown)
+    assert_shows_in_a_notebook(packed, "PackedStore", "eld.h5", "crop=16, augment=True")
+
+
+def test_arrays_are_shown_in_the_cameras_own_colours() -> None:
+    values = np.random.default_rng(1).uniform(0.5, 0.9, (2, 4, 8, 10)).astype(np.float32)
+    pairs = SyntheticPairs(Arrays(values, range_dn=15871.0), "SonyA7S2", crop=None, augment=False, ratio=1.0)
+    figure = pairs.plot(1)
+    clean = images_of(figure)[1]
+    np.testing.assert_array_equal(clean, preview(values[1], None))
+    assert titles_of(figure)[0] == "input"  # neither amplified nor brighter
+    assert figure.get_suptitle().startswith("SonyA7S2")
+
+
+def test_a_clip_shows_its_first_frame(tmp_path: Path) -> None:
+    drv = small_drv(tmp_path, ["0007"], 6)
+    clips = DRVDataset(drv.data, manifest=drv.csv, window=3)
+    sample = clips[1]
+    figure = clips.plot(1)
+    noisy, clean, error = images_of(figure)
+    brighter = brightening(sample["target"].numpy())
+    for shown, values in ((noisy, sample["input"][0]), (clean, sample["target"])):
+        expected = np.rint(np.clip(values.numpy() * brighter, 0, 1) * 255).astype(np.uint8).transpose(1, 2, 0)
+        np.testing.assert_array_equal(shown, expected)
+    np.testing.assert_allclose(error, (sample["input"][0] - sample["target"]).abs().mean(0), rtol=1e-6)
+    assert f"frame {sample['start']}" in figure.get_suptitle()
+    assert_shows_in_a_notebook(clips, "1 clips", "frame 0")
+
+
+def test_calibration_frames_are_drawn_in_dn(tmp_path: Path) -> None:
+    made = made_tree(tmp_path, isos=(100,), bias_frames=1, flat_levels=2, size=(48, 64))
+    frames = CalibrationFrames(made.root, CAMERA)
+    index = len(frames) - 1
+    figure = frames.plot(index)
+    sample = frames[index]
+    np.testing.assert_array_equal(images_of(figure)[0], sample["mosaic"])
+    assert titles_of(figure) == ["mosaic [DN]"]
+    assert figure.get_suptitle().startswith(f"{frames.camera}, flat, ISO {sample['iso']:g}")
+    assert_shows_in_a_notebook(frames, f"CalibrationFrames of {frames.camera}", "flat")
+    assert_one_line(frames, "CalibrationFrames(")
+
+
+# --- in a notebook ------------------------------------------------------------------------------------------------
+
+
+def test_a_dataset_in_a_notebook(eld: ELDDataset) -> None:
+    assert_one_line(eld, "ELDDataset(")
+    assert_shows_in_a_notebook(
+        eld, "ELDDataset", f"{len(eld.records)} of", "DemoAlpha, DemoBeta", "first item: DemoAlpha"
+    )
+    page = checked(eld._repr_html_())
+    assert len(page.all("img")) == 2
+    assert sum(len(picture["src"]) for picture in page.all("img")) < 40_000
+
+
+def test_what_cannot_be_read_is_said(tree: Tree) -> None:
+    eld = ELDDataset(tree.data, manifest=tree.csv)
+    (tree.data / eld.records[0].path).unlink()
+    html = eld._repr_html_()
+    page = checked(html)
+    assert page.all("img") == []
+    assert "the first item cannot be shown: " in page.text
+    assert eld.records[0].path.rpartition("/")[2] in page.text
+    with pytest.raises(EldataError):
+        eld.plot(0)
+
+
+def test_hostile_names_of_folders_stay_text(pristine: Tree, tmp_path: Path) -> None:
+    own = copy_tree(pristine, tmp_path / HOSTILE.replace("/", "|"))
+    eld = ELDDataset(own.data, manifest=own.csv)
+    assert_shows_in_a_notebook(eld, HOSTILE.replace("/", "|")[:20])
+    title = describe_sample(eld[0] | {"camera": "$\\frac{$ 相机", "path": HOSTILE + "\x1b[2J"})
+    figure = side_by_side(title, [("input", eld[0]["input"][0].numpy())])
+    figure.draw_without_rendering()  # mathematics that cannot be set, and letters that the font lacks, are errors here
+    assert "□" in figure.get_suptitle()

@@ -1,24 +1,20 @@
-"""Checks of pages: their text, and what a browser makes of them."""
+"""Checks of the text of pages, and what a browser is asked about them."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
-import json
 import re
-import subprocess
-from html import unescape
 from html.parser import HTMLParser
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
-
-from tests.waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 HOSTILE = '<script>alert("x")</script>"\'&<img src=https://evil.example/x.png onerror=alert(1)>'
 EMBEDDED = ("data:image/svg+xml;base64,", "data:image/png;base64,", "data:image/jpeg;base64,", "#")
+OUTSIDE = (
+    "[...document.querySelectorAll('body *')].filter((e) => !e.closest('.scroll, .skip, .unseen, .glass') &&"
+    " e.getBoundingClientRect().right > innerWidth + 0.5).map((e) => e.outerHTML.slice(0, 80))"
+)
+"""What reaches beyond the window, for a browser to say."""
 VOID = {"meta", "img", "source", "br", "link", "input", "hr"}
 
 
@@ -90,41 +86,3 @@ def assert_well_formed(text: str) -> None:
             assert attributes["href"][1:] in identifiers
     assert checker.all("html")[0]["lang"] == "en"
     assert len(checker.all("main")) == 1
-
-
-# --- in a browser -------------------------------------------------------------------------------------------------
-
-PROBE = """<script>addEventListener("load", () => {
-  const out = (item) => item.getBoundingClientRect().right > innerWidth + 0.5;
-  const wide = [...document.querySelectorAll("body *")].filter((item) => !item.closest(".scroll, .skip") && out(item));
-  parent.postMessage(JSON.stringify({
-    width: innerWidth,
-    scroll: document.documentElement.scrollWidth,
-    wide: wide.map((item) => item.outerHTML.slice(0, 80)),
-    images: [...document.images].map((item) => [item.complete, item.naturalWidth, item.width, item.height]),
-    tables: [...document.querySelectorAll("div.scroll")].map((item) => item.scrollWidth - item.clientWidth),
-  }), "*");
-});</script></body>"""
-
-# A window of --dump-dom is never narrower than 500 pixels; a frame in it may be.
-FRAME = """<!DOCTYPE html><title>frame</title><pre id="probe"></pre><script>
-addEventListener("message", (event) => { document.getElementById("probe").textContent = event.data; });
-</script><iframe src="page.html" scrolling="no" style="border: 0; width: %dpx; height: 900px"></iframe>"""
-
-
-def seen_in_browser(chromium: str, text: str, width: int, folder: Path) -> dict[str, Any]:
-    """Return what a browser with a window of this width says about a page."""
-    # The probe is a script, which the page's own policy would refuse.
-    probed = re.sub('<meta http-equiv="Content-Security-Policy"[^>]*>', "", text).replace("</body>", PROBE)
-    (folder / "page.html").write_text(probed, encoding="utf-8")
-    path = folder / "frame.html"
-    path.write_text(FRAME % width, encoding="utf-8")
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]
-    options += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
-    options += [f"--user-data-dir={folder / 'user'}", "--window-size=1600,1000", "--virtual-time-budget=5000"]
-    command = [chromium, *options, "--dump-dom", path.as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
-    match = re.search(r'<pre id="probe">(.+?)</pre>', done.stdout, flags=re.DOTALL)
-    assert match, done.stderr[-2000:]
-    found = json.loads(unescape(match[1]))
-    return dict(found)

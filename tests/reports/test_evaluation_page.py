@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 
     from eldata.evaluation.results import EvaluationResult
 
-NOTHING = ()
-
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
@@ -90,7 +88,7 @@ def hostile_data(**options: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def hostile() -> str:
-    return evaluation_page(saved_result(hostile_data(), "test"), NOTHING)
+    return evaluation_page(saved_result(hostile_data(), "test"), ())
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +155,7 @@ def test_intervals_over_scenes_are_in_the_table() -> None:
     from eldata.evaluation.statistics import interval_of_mean
 
     one = result()
-    text = evaluation_page(one, NOTHING)
+    text = evaluation_page(one, ())
     for row in one.table:
         images = one.scores_of(row)
         interval = interval_of_mean([image.psnr_db for image in images], [image.scene for image in images])
@@ -176,16 +174,10 @@ def test_nothing_scored() -> None:
     data["table"] = [row | {"scored": 0, "psnr_db": None, "ssim": None} for row in table_of(data)]
     data |= {"images": [], "problems": [{"path": "a", "reason": "has no prediction"}]}
     data["coverage"] = {"pairs": 12, "scored": 0, "missing": ["a"]}
-    text = checked(evaluation_page(saved_result(data, "test"), NOTHING)).text
+    text = checked(evaluation_page(saved_result(data, "test"), ())).text
     assert "Nothing was scored: 1 problem, listed below." in text
     assert "a: has no prediction" in text
     assert not re.search(r"\bnan\b", text)
-
-
-def test_without_rescaling_there_is_no_plot_of_it() -> None:
-    text = checked(evaluation_page(result(protocol="eld-uncorrected"), NOTHING)).text
-    assert "there is no factor to show" in text
-    assert "Rescaling that was found" not in text
 
 
 def test_the_same_page_each_time(
@@ -202,6 +194,9 @@ def test_wrong_exposure_shows() -> None:
     assert "from 4 to 4" in plots["rescaling"].alt
     assert plots["rescaling"].light != plots["rescaling"].dark
     assert score_plots(replace(one, scores=())) == ()
+    text = checked(evaluation_page(result(protocol="eld-uncorrected"), ())).text
+    assert "there is no factor to show" in text
+    assert "Rescaling that was found" not in text
 
 
 def test_names_that_the_font_lacks_are_boxes() -> None:
@@ -374,21 +369,18 @@ def test_a_dark_reference_is_shown_brighter_and_a_bright_one_is_not() -> None:
 # --- Markdown and LaTeX -------------------------------------------------------------------------------------------
 
 
-def test_markdown_and_latex_have_the_same_numbers() -> None:
+def test_markdown_and_latex_have_the_numbers_choices_and_gaps() -> None:
     one = result()
     markdown, latex = one.format("markdown"), one.format("latex")
     for row in one.table:
         for text in (f"{row.psnr_db:.2f}", f"{row.ssim:.3f}", str(row.pairs)):
             assert f" {text} " in markdown
             assert f"& {text} " in latex
-    digest = one.digest[:15]
-    assert rf"\caption{{eld 1.0, protocol eld ({digest}): 96 of 96 pairs.}}" in latex
-    assert f"eld 1.0, protocol eld ({digest}): 96 of 96 pairs." in markdown
-    assert r"\label{tab:eld-eld}" in latex
-    assert latex.count(r"\midrule") == 3
+    caption = f"eld 1.0, protocol eld ({one.digest[:15]}): 96 of 96 pairs."
+    assert rf"\caption{{{caption}}}" in latex
+    assert caption in markdown
+    assert (latex.count(r"\midrule"), r"\label{tab:eld-eld}" in latex) == (3, True)
 
-
-def test_choices_and_gaps_are_in_the_caption() -> None:
     data = result_data()
     data["provenance"] |= {"cameras": ["SonyA7S2"], "subset": "indoor", "excluded_flags": {"misaligned": 5}}
     data["coverage"]["pairs"] = 100

@@ -15,6 +15,7 @@ from eldata.reports.evaluation import evaluation_page, write_evaluation_page
 from tests.capture.checklist_browser import Browser, Page
 from tests.evaluation.helpers import place, small_tree
 from tests.reports.evaluations import result
+from tests.reports.pages import OUTSIDE
 from tests.reports.test_evaluation_page import hostile_data
 
 if TYPE_CHECKING:
@@ -161,11 +162,6 @@ def test_layers_are_chosen_by_mouse_and_keyboard(page: Page) -> None:
 
 
 # --- the whole page -----------------------------------------------------------------------------------------------
-
-OUTSIDE = (
-    "[...document.querySelectorAll('body *')].filter((e) => !e.closest('.scroll, .skip, .unseen') &&"
-    " e.getBoundingClientRect().right > innerWidth + 0.5).map((e) => e.outerHTML.slice(0, 80))"
-)
 
 
 @pytest.mark.parametrize("width", [PHONE, DESKTOP])

@@ -18,12 +18,12 @@ from PIL import Image
 
 from eldata.plots.pictures import block_means, grey_png
 from eldata.reports.calibration import calibration_page
-from eldata.reports.html import digits, measured, prose, typeset
+from eldata.reports.html import digits, format_measured, prose, typeset
 from tests.calibration.simulation import XTRANS
+from tests.capture.checklist_browser import Browser, Page
 from tests.reports import calibrations
 from tests.reports.calibrations import camera_at
-from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser
-from tests.shared import there
+from tests.reports.pages import HOSTILE, OUTSIDE, assert_self_contained, assert_well_formed, checked
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def test_says_what_was_measured(page: str, calibration: Calibration) -> None:
     for one in calibration.isos:
         assert f"ISO {one.iso:g}" in text
         assert one.transfer is not None
-        assert measured(one.transfer.gain_dn_per_e, one.transfer.gain_error) in text
+        assert format_measured(one.transfer.gain_dn_per_e, one.transfer.gain_error) in text
     tables = calibration.tables()
     for header, rows in (tables[name] for name in ("figures", "colour-bias", "reproduction")):
         for cell in (*header, *(cell for row in rows for cell in row)):
@@ -223,20 +223,13 @@ def test_three_channels(xtrans: str) -> None:
 # --- parts --------------------------------------------------------------------------------------------------------
 
 
-def test_typeset_leaves_words_alone() -> None:
+def test_text_of_pages() -> None:
     assert typeset("sigma_TL in DN^2, 3 e-, lambda, R2") == "σ TL in DN², 3 e⁻, λ, R²"
     assert typeset("single-frame, Tukey-lambda, one-") == "single-frame, Tukey-lambda, one-"
-
-
-def test_prose_signs_numbers_alone() -> None:
     assert prose("from -0.05 to 3-4, p = -.1 (-2), ISO-100") == "from −0.05 to 3-4, p = −.1 (−2), ISO-100"
-
-
-def test_numbers() -> None:
     assert [digits(value) for value in (-0.01234, 12345.0, math.nan)] == ["−0.0123", "1.23e+04", "not known"]
-    assert measured(-1.234, 0.02, "DN") == "−1.234 ± 0.020 DN"
-    assert measured(1.0, math.nan) == "1"
-    assert measured(math.nan, 1.0) == "not known"
+    numbers = format_measured(-1.234, 0.02, "DN"), format_measured(1.0, math.nan), format_measured(math.nan, 1.0)
+    assert numbers == ("−1.234 ± 0.020 DN", "1", "not known")
 
 
 def test_grey_spans_black_and_white() -> None:
@@ -257,13 +250,18 @@ def test_blocks_are_means() -> None:
 
 @pytest.mark.browser
 @pytest.mark.parametrize(("which", "width"), [*((which, 390) for which in PAGES), ("page", 1280)])
-def test_in_a_browser(chromium: str, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_in_a_browser(browser: Browser, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     text = request.getfixturevalue(which).replace('<details class="iso">', '<details class="iso" open>')
-    found = seen_in_browser(chromium, text, width, tmp_path)
-    assert found["width"] == width
-    assert found["scroll"] <= width
-    assert found["wide"] == []
-    for complete, natural, *shown in found["images"]:
+    (tmp_path / "page.html").write_text(text, encoding="utf-8")
+    page = Page(browser, tmp_path, width, 900)
+    page.open((tmp_path / "page.html").as_uri())
+    assert page.run("innerWidth") == width
+    assert page.run("document.documentElement.scrollWidth") <= width
+    assert page.run(OUTSIDE) == []
+    images = page.run("[...document.images].map((e) => [e.complete, e.naturalWidth, e.width, e.height])")
+    assert page.problems() == []  # nothing from the network, no error, nothing against the policy
+    page.close()
+    for complete, natural, *shown in images:
         assert complete
         assert natural > 0
         assert all(side > least for side, least in zip(shown, (130, 80), strict=True))

@@ -24,6 +24,7 @@ from tests.capture.checklist_browser import Browser, Page
 from tests.reports import calibrations
 from tests.reports.calibrations import camera_at
 from tests.reports.pages import HOSTILE, OUTSIDE, assert_self_contained, assert_well_formed, checked
+from tests.shared import there
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:

@@ -293,7 +293,8 @@ def marked(mark: str) -> list[str]:
 
 def trials(bench: Bench, count: int, number: int, generator: random.Random) -> tuple[int, list[str]]:
     """End a command so many times; return how often that left unfinished work, and what was wrong."""
-    ended, unfinished, wrong = 0, 0, []
+    ended = unfinished = 0
+    wrong: list[str] = []
     for _ in range(20 * count + 100):
         if ended == count or len(wrong) > 20:
             return unfinished, wrong

@@ -342,7 +342,7 @@ def units_again(
     """
     stated = result.provenance
     cameras, ids = stated.get("cameras", "all"), stated.get("ids")
-    chosen = {
+    chosen: dict[str, Any] = {
         "cameras": None if cameras == "all" else cameras,
         "subset": stated.get("subset") if ids is None else None,
         "ids": ids,

@@ -410,7 +410,7 @@ def plan_calibration(
         raise CaptureError(f"calibration ISOs: expected one or more, rising; found {list(isos)}")
     if not LEAST_BIAS_FRAMES <= bias_frames <= _MOST_FRAMES:
         raise CaptureError(f"bias frames per ISO: expected {LEAST_BIAS_FRAMES} to {_MOST_FRAMES}, found {bias_frames}")
-    levels = [0, *flat_levels, 1]
+    levels = [Fraction(0), *flat_levels, Fraction(1)]
     if not flat_levels or levels != sorted(set(levels)):
         found = ", ".join(map(str, flat_levels))
         raise CaptureError(f"flat levels: expected shares between 0 and 1, rising; found {found}")

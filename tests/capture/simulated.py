@@ -105,7 +105,7 @@ def shoot(
     return files
 
 
-def run_capture(*arguments: str | Path, code: int = 0) -> str:
+def run_capture(*arguments: object, code: int = 0) -> str:
     """Run `capture` in this process, with this exit code; return what it printed."""
     printed = io.StringIO()
     with redirect_stdout(printed), redirect_stderr(printed):

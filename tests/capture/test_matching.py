@@ -174,6 +174,21 @@ def test_a_scene_begun_again(given_up_after: int, metered: str) -> None:
     assert len([remark for remark in found.remarks if remark.kind == "repeated"]) == given_up_after
 
 
+def test_a_third_of_a_scene_is_that_scene() -> None:
+    plan = plan_of("4", "1")
+    presses = session(plan)
+    assert len(matched(plan, [*presses[:16], *presses[17:23]]).missing) == 10
+
+
+def test_a_beginning_with_old_settings_is_not_the_end_taken_again() -> None:
+    """The pause before it is much longer than the one after it."""
+    plan = plan_of("4", "1")
+    presses = session(plan)
+    presses[16].taken = replace(presses[16].taken, pause_s=30.0)
+    presses.insert(16, again(presses[15], None, 200.0))
+    assert len(matched(plan, presses).remarks) == 1
+
+
 @in_one_test("time", [160, 174])  # 0.32 and 0.2 stops off
 def test_a_wrong_setting_is_named(time: int) -> None:
     plan = plan_of("4")

@@ -154,7 +154,7 @@ def test_bias_frames_alone_with_a_stated_gain(eldata: Cli, tree: FrameTree, tmp_
 
 def test_a_gain_from_another_profile(eldata: Cli, pristine: FrameTree, tree: FrameTree, tmp_path: Path) -> None:
     """It serves where there are no flats; a single ISO's K wins over the profile's, a measured one over both."""
-    assert eldata("calibrate", pristine.root, "--iso", "100", "--iso", "400", "-o", tmp_path / "known.json").code == 0
+    assert eldata("calibrate", pristine.root, "-o", tmp_path / "known.json").code == 0
     known = CameraProfile.load(tmp_path / "known.json")
     without_flats(tree, 400, 1600)
     options = ("--gain", tmp_path / "known.json", "--gain", "1600=7.5", "-o", tmp_path / "p.json")

@@ -330,11 +330,11 @@ def test_ratios_that_no_file_states_are_the_manifests(tmp_path: Path) -> None:
 
 def bias_set(tmp_path: Path) -> Path:
     """Write three bias frames of the noise of :func:`mosaic_of`; return their manifest."""
-    data, exposure = tmp_path / "data" / "own", {"iso": Fraction(800), "exposure_s": Fraction(1, 1000)}
+    data, iso, exposure_s = tmp_path / "data" / "own", Fraction(800), Fraction(1, 1000)
     data.mkdir(parents=True)
     for number in range(3):
         np.save(data / f"{number}.npy", mosaic_of(NOISY, number))
-    rows = [FrameRecord(f"{number}.npy", "bias", "Cam", **exposure) for number in range(3)]
+    rows = [FrameRecord(f"{number}.npy", "bias", "Cam", iso=iso, exposure_s=exposure_s) for number in range(3)]
     save_manifest(tmp_path / "own.csv", replace(CARD, counts={"bias": 3}, mosaics=(FACTS,)), rows)
     return tmp_path / "own.csv"
 

@@ -52,6 +52,11 @@ def test_an_unknown_value_lists_the_known(filters: dict[str, Any], said: str) ->
         Choice(**filters).pairs(RECORDS)
 
 
+def test_of_many_values_those_next_to_the_wanted_one_are_listed() -> None:
+    with pytest.raises(ArgumentError, match=r"known are 231, next to it 10170, .*10185, 10187, .*10198$"):
+        Choice(scenes=[10186]).pairs(shipped_manifest("sid-sony").records)
+
+
 def test_a_combination_that_does_not_occur() -> None:
     some = [r for r in RECORDS if not (r.camera == "SonyA7S2" and r.iso == 800)]
     with pytest.raises(ArgumentError, match="no pair has all of"):

@@ -124,7 +124,7 @@ def put_folder(tree: Tree) -> None:
 
 
 def take(number: int, iso: int | None, exposure_s: Fraction | None) -> Callable[[Tree], None]:
-    return lambda tree: retake(tree.file(number), exposure=Exposure(iso and Fraction(iso), exposure_s, None))
+    return lambda tree: retake(tree.file(number), exposure=Exposure(None if iso is None else Fraction(iso), exposure_s))
 
 
 @pytest.mark.parametrize(

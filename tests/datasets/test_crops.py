@@ -52,7 +52,7 @@ EACH = pytest.mark.parametrize("orientation", ORIENTATIONS, ids=name)
 def expected(mosaic: NDArray[Any], orientation: Orientation) -> NDArray[Any]:
     """The turned mosaic."""
     turned = mosaic.T if orientation.transpose else mosaic
-    axes = [axis for axis, flip in enumerate((orientation.flip_rows, orientation.flip_columns)) if flip]
+    axes = tuple(axis for axis, flip in enumerate((orientation.flip_rows, orientation.flip_columns)) if flip)
     return np.flip(turned, axes) if axes else turned
 
 

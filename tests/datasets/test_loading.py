@@ -82,6 +82,8 @@ def test_batches_do_not_depend_on_workers(workers: int, store: Path) -> None:
         assert all(torch.equal(mine, reference[index]["target"]) for mine, index in zip(got, order, strict=False))
         seen.append([path for batch in batches for path in batch["path"]])
     assert seen[0] != seen[1]
+    set_epoch(loader, 1, first_batch=7)
+    assert [path for batch in loader for path in batch["path"]] == seen[1][7 * 5 :]
     assert loader.persistent_workers == (workers > 0)
 
 

@@ -217,11 +217,12 @@ def test_dark_frames(tmp_path: Path) -> None:
     clean, dark = tmp_path / "clean", tmp_path / "Camera" / "bias" / "ISO1600"
     clean.mkdir()
     dark.mkdir(parents=True)
-    of, generator = sensor(32, 48), np.random.default_rng(2)
+    of, generator = replace(sensor(32, 48), black_level_dn=(508.0, 511.0, 513.0, 516.0)), np.random.default_rng(2)
+    without_light = np.tile(np.array(of.black_level_dn, np.uint16)[np.array(of.cfa)], (16, 24))
     for number in range(3):
         mosaic = generator.integers(480, 540, (32, 48)).astype(np.uint16)
         write_dng(dark / f"{number}.dng", mosaic, of, Exposure(Fraction(1600), Fraction(1, 8000)))
-        write_dng(clean / f"{number % 2}.dng", np.full((32, 48), 512, np.uint16), of, EXPOSURE)
+        write_dng(clean / f"{number % 2}.dng", without_light, of, EXPOSURE)
     recipe = Recipe(SONY, spec="P*+D", iso=1600, per_image=3, dark_frames=tmp_path / "Camera")
     synthesize(clean, tmp_path / "out", recipe)
     frames = recorded(tmp_path / "out")

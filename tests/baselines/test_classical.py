@@ -220,6 +220,8 @@ def test_the_mean_of_stabilised_values_leads_back(gain: float, sigma: float, cou
     error = float(seen.std() / np.sqrt(DRAWS) * seen.mean() / 2)
     back = float(invert_anscombe(np.array([seen.mean()]), line)[0]) / gain
     assert abs(back - counts) < 4.5 * error + 2e-3
+    around = 2 * np.sqrt(200 + 3 / 8 + sigma**2) + np.linspace(-1, 1, 2001)  # the table ends there, without a step
+    assert np.diff(invert_anscombe(around, line)).max() < 0.05 * gain  # steps of 0.014 to 0.025 of its own
 
 
 # --- thresholding ---------------------------------------------------------------------------------------------------

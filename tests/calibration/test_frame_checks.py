@@ -147,7 +147,7 @@ def test_the_manifests_exposure(tree: FrameTree) -> None:
 
 def noisier(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
     level = mosaic.mean()
-    return np.rint(level + 3 * (mosaic - level)).astype(np.uint16)
+    return np.asarray(np.rint(level + 3 * (mosaic - level)), dtype=np.uint16)
 
 
 PIXELS: dict[str, tuple[Callable[[Path], None], str, list[str]]] = {
@@ -250,7 +250,7 @@ def step_of(frame: NDArray[np.uint16]) -> float:
 def sony_curve(values: NDArray[np.uint16]) -> NDArray[np.uint16]:
     """Steps of 1, 2, 4, 8 DN in four parts of the range: the shape of Sony's 11-bit curve."""
     codes = np.concatenate([[0], np.cumsum(np.repeat([1, 2, 4, 8], [2000, 1000, 1000, 1024]))])
-    return codes[np.searchsorted(codes, np.minimum(values, codes[-1]), side="right") - 1].astype(np.uint16)
+    return np.asarray(codes[np.searchsorted(codes, np.minimum(values, codes[-1]), side="right") - 1], dtype=np.uint16)
 
 
 @in_one_test("step, sigma", [(1, 0.5), (2, 1.0), (3, 0.5), (4, 6.0), (16, 1.0)])
@@ -287,9 +287,12 @@ def test_a_border_is_left_out_and_named_once(tmp_path: Path) -> None:
     tree, inner = made_tree(tmp_path / "tree", isos=(1600,), size=(272, 400)), np.s_[:-9, 13:]
     expected = calibrate(tree.frames(), crop=inner)
     for value in (0, 512):
-        bordered = partial(np.pad, pad_width=((0, 9), (13, 0)), constant_values=value)
+
+        def bordered(dn: NDArray[np.uint16], value: int = value) -> NDArray[np.uint16]:
+            return np.pad(dn[inner], ((0, 9), (13, 0)), constant_values=value)
+
         for path in tree.camera.rglob("*.dng"):
-            rewritten(path, mosaic=lambda dn, border=bordered: border(dn[inner]))
+            rewritten(path, mosaic=bordered)
         found = calibrate(tree.frames())
         assert (found.isos[0].sensor.height, found.isos[0].sensor.width) == (263, 387)
         assert found.isos[0].as_dict() == expected.isos[0].as_dict()

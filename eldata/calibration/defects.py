@@ -212,12 +212,12 @@ def fixed_pattern(stack: BiasStack) -> FixedPattern:
         freedom = frames * (frames - 1)
         variance = added / freedom / counted
         variance_error = math.sqrt(max(squared / counted - (added / counted) ** 2, 0.0) / counted) / freedom
-        pixels = sum(block[0] for block in blocks)
+        pixels = np.asarray(sum(block[0] for block in blocks))
         level = sum(block[0] * block[1] for block in blocks) / np.maximum(pixels, 1)
         mean = float((level * pixels).sum() / np.sum(pixels))
         dsnu, dsnu_error = _non_uniformity(blocks, variance / frames, variance_error / frames)
         shading = np.where(pixels > 0, level - mean, 0.0)
-        for of_edge, counts in ((shading, pixels), (shading.T, np.transpose(pixels))):
+        for of_edge, counts in ((shading, pixels), (shading.T, pixels.T)):
             if len(of_edge) > 1 and not counts[-1].any():  # a last row or column without a pixel
                 of_edge[-1] = of_edge[-2]
         return variance, mean, dsnu, dsnu_error, shading

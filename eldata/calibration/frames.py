@@ -274,7 +274,8 @@ def picture_crop(frames: CalibrationFrames, chosen: Sequence[IsoFrames]) -> Crop
 
 def check_crop(crop: Crop) -> Crop:
     """Return two slices without a step; raise :class:`ArgumentError` for anything else."""
-    if len(crop) != 2 or any(not isinstance(part, slice) or part.step is not None for part in crop):
+    parts: tuple[object, ...] = crop
+    if len(parts) != 2 or any(not isinstance(part, slice) or part.step is not None for part in parts):
         raise ArgumentError(f"crop is two slices without a step, of rows and of columns; found {crop!r}")
     return crop
 

@@ -303,7 +303,8 @@ def _fit_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: 
         else:
             remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
     gains = _gain(ends[0]), _gain(ends[-1])
-    mode = GainMode(gains, *(line for _, line in fits), iso_range=(lowest, highest))
+    tukey_lambda, gauss, row = (line for _, line in fits)
+    mode = GainMode(gains, tukey_lambda, gauss, row, (lowest, highest))
     return FittedMode(mode, *(estimate for estimate, _ in fits))
 
 

@@ -145,8 +145,8 @@ def _split(bias: Sequence[FrameRecord]) -> tuple[Sequence[FrameRecord], Sequence
 def _measure_all(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     fixed, estimated, held_out = _first_pass(reader, *_split(chosen.bias))
     sums, pairs = BiasSums(fixed), BiasPairs(fixed)
-    for record, frame in reader.read(estimated):
-        if record == estimated[0]:
+    for source, frame in reader.read(estimated):
+        if source == estimated[0]:
             spectrum = power_spectrum(frame.mosaic, fixed)
             single = None if fixed.clips_at_black else single_frame_plot(frame.mosaic, fixed)
         in_threads(methodcaller("add", frame.mosaic), [sums, pairs], reader.workers.jobs)

@@ -46,8 +46,8 @@ def isos() -> tuple[IsoCalibration, ...]:
     return tuple(measured(iso, camera_at(iso)) for iso in (100.0, 400.0, 1600.0, 6400.0))
 
 
-def finding(*figures: Quantity, effect: Effect = "withheld", allowance: float = 0.0) -> Finding:
-    return Finding("planet", figures, effect, 0.5, 0.1, WHY, allowance)
+def finding(*figures: Quantity, effect: Effect = "withheld", allowance: float = 0.0, check: str = "planet") -> Finding:
+    return Finding(check, figures, effect, 0.5, 0.1, WHY, allowance)
 
 
 def with_findings(isos: tuple[IsoCalibration, ...], *findings: Finding) -> Calibration:
@@ -161,15 +161,11 @@ def test_an_allowance_widens_errors_in_quadrature(isos: tuple[IsoCalibration, ..
 # --- accepted -------------------------------------------------------------------------------------------------------
 
 
-def spoilt(check: str, figure: Quantity, allowance: float) -> Finding:
-    return replace(finding(figure, allowance=allowance), check=check)
-
-
 @pytest.mark.parametrize("figure", list(SYMBOLS))
 def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
     figure: Quantity, isos: tuple[IsoCalibration, ...]
 ) -> None:
-    seen = spoilt("coarse values", figure, 0.25)
+    seen = finding(figure, allowance=0.25, check="coarse values")
     refused = with_findings(isos, seen)
     symbols, option = SYMBOLS[figure], '--accept "coarse values"'
     assert refused.isos[1].all_remarks == (
@@ -195,13 +191,13 @@ def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
 def test_what_is_off_by_all_of_itself_cannot_be_accepted() -> None:
     """Nor what a check knows no size of. A level that light has raised is another matter: it is still a level."""
     for seen in (
-        spoilt("correlated noise", "row noise", 1.0),
-        spoilt("coarse values", "read noise", 0.0),
-        spoilt("photon transfer", "gain", 0.1),
+        finding("row noise", allowance=1.0, check="correlated noise"),
+        finding("read noise", allowance=0.0, check="coarse values"),
+        finding("gain", allowance=0.1, check="photon transfer"),
     ):
         assert accept_findings([seen], [seen.check]) == (seen,)
         assert "--accept" not in seen.remark
-    bias = spoilt("light", "colour bias", 7.0)
+    bias = finding("colour bias", allowance=7.0, check="light")
     (accepted,) = accept_findings([bias], ["light"])
     assert (accepted.effect, accepted.is_accepted, accepted.allowance) == ("wider", True, 7.0)
     assert accept_findings([bias], ["coarse values"]) == (bias,)

@@ -11,14 +11,7 @@ import pytest
 from eldata.calibration import bias_sums
 from eldata.calibration.bias_sums import LAGS, BiasPairs, BiasStatistics
 from tests.calibration.draws import drawn_camera
-from tests.calibration.faults import (
-    Planted,
-    blurred,
-    coarse,
-    corner_leak,
-    digitised,
-    mixed,
-)
+from tests.calibration.faults import blurred, coarse, corner_leak, digitised, mixed, plant
 from tests.calibration.in_memory import calibrated, calibrated_arrays, figures_of, stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
 from tests.cases import in_one_test
@@ -29,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.iso_results import IsoCalibration
+    from tests.calibration.faults import Fault
 
 CAMERA = Camera(shape=(512, 768), shading=1.0)
 OF_XTRANS = CAMERA.with_(shape=(516, 768), cfa=XTRANS, bias=(0.0, 0.5, -0.5))
@@ -58,11 +52,10 @@ def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> tuple[IsoCa
         (coarse(2), CAMERA, {"coarse values": "wider"}),
         (coarse(4), CAMERA, {"coarse values": "withheld"}),
     ],
-    ids=lambda value: value.name if isinstance(value, Planted) else "",
 )
-def test_a_fault_is_named(fault: Planted, camera: Camera, expected: dict[str, str]) -> None:
+def test_a_fault_is_named(fault: Fault, camera: Camera, expected: dict[str, str]) -> None:
     """A camera of 0.4 megapixels and nine frames. Each figure that is given is within 4 of its errors of the truth."""
-    record, effects = audited(camera, fault.bias_frames(Body(camera, np.random.default_rng(0)), 9))
+    record, effects = audited(camera, plant(fault, Body(camera, np.random.default_rng(0)), 9))
     assert effects == expected
     for name, (figure, truth) in figures_of(record, camera).items():
         assert figure is None or abs(figure.value - truth) < 4 * figure.error, name
@@ -158,7 +151,7 @@ def test_blocks_are_plain_numpys() -> None:
 
 
 def test_large_frames_are_looked_at_in_bands(monkeypatch: pytest.MonkeyPatch) -> None:
-    frames = corner_leak(20.0).bias_frames(Body(CAMERA, np.random.default_rng(12)), 6)
+    frames = plant(corner_leak(20.0), Body(CAMERA, np.random.default_rng(12)), 6)
     whole = statistics(frames)
     monkeypatch.setattr(bias_sums, "_MOST_PIXELS", CAMERA.shape[0] * CAMERA.shape[1] // 3)
     part = statistics(frames)

@@ -21,7 +21,7 @@ from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.noise.profile import LogLogFit
 from eldata.records import FrameRecord
-from tests.calibration.faults import coarse
+from tests.calibration.faults import coarse, plant
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import Body, Camera
 from tests.calibration.trees import CAMERA, ISOS, rewritten
@@ -292,7 +292,7 @@ def test_the_spread_of_the_bias_comes_back_by_sampling(tmp_path: Path) -> None:
 def stepping(iso: float, step: int, camera: Camera) -> IsoCalibration:
     """Of ten bias frames whose values step by so many DN; K is stated."""
     body = Body(camera, np.random.default_rng(int(iso)))
-    frames = [frame.astype(np.uint16) for frame in coarse(step).bias_frames(body, 10)]
+    frames = plant(coarse(step), body, 10)
     return replace(calibrated_arrays(camera.sensor, frames, []), iso=iso, stated_gain_dn_per_e=camera.gain)
 
 
@@ -334,6 +334,13 @@ def test_a_step_that_all_isos_have_is_the_profiles(in_steps: list[IsoCalibration
         assert float(dark.var()) * (profile.range_dn or 0.0) ** 2 == pytest.approx(expected, rel=0.01 + 5 * 0.005)
         compared = there(one.reproduction)
         assert compared.histogram_distance < max(2 * compared.histogram_distance_by_chance, 0.01)
+
+
+def test_the_step_is_of_bias_frames_and_flats() -> None:
+    camera = Camera(shape=(264, 384), sigma_tl=4.0)
+    body = Body(camera, np.random.default_rng(1))
+    found = calibrated_arrays(camera.sensor, plant(coarse(4), body, 5), body.flat_pairs((800.0, 3000.0)))
+    assert (found.step_dn, found.stepped) == (1, None)
 
 
 def test_steps_that_are_not_one_are_said(in_steps: list[IsoCalibration]) -> None:

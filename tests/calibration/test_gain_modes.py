@@ -18,10 +18,10 @@ from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile
 from tests.calibration.simulation import Camera
 from tests.reports.calibrations import measured
+from tests.shared import there
 
 if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration
-    from eldata.calibration.results import Calibration
     from eldata.noise import NoiseParameters
 
 ISOS = (200, 400, 800, 1600, 3200, 6400, 12800)
@@ -45,11 +45,6 @@ def isos() -> list[IsoCalibration]:
     return [measured(iso, camera_at(iso), frames=4) for iso in ISOS]
 
 
-@pytest.fixture(scope="module")
-def found(isos: list[IsoCalibration]) -> Calibration:
-    return join_isos("Two modes", isos, modes=(3200,))
-
-
 def test_a_step_that_is_not_stated_is_remarked(isos: list[IsoCalibration]) -> None:
     """One mode, and the remark says what to state."""
     found = join_isos("Two modes", isos)
@@ -61,12 +56,12 @@ def test_a_step_that_is_not_stated_is_remarked(isos: list[IsoCalibration]) -> No
     assert remark in join_isos("Elsewhere", isos, modes=(800,)).remarks
 
 
-def test_stated_modes_have_lines_of_their_own(found: Calibration) -> None:
+def test_stated_modes_have_lines_of_their_own(isos: list[IsoCalibration]) -> None:
+    found = join_isos("Two modes", isos, modes=(3200,))
     assert [one.mode.iso_range for one in found.modes] == [(200, 1600), (3200, 12800)]
     assert found.remarks == ()
     for one, slope, intercept in zip(found.modes, (0.74043, 0.74901), (0.86182, -0.12348), strict=True):
-        line = one.tukey_lambda_fit
-        assert line is not None
+        line = there(one.tukey_lambda_fit)
         # The scales of one ISO are known to half a per cent; the lines of three and four of them to their errors, of
         # which those of few points are themselves uncertain.
         assert line.fit.slope == pytest.approx(slope, abs=0.02)
@@ -161,10 +156,9 @@ def test_the_published_table_of_the_a7s2() -> None:
     assert "between ISO 1600 and 2000 the read noise goes from" in step[1].text
     for mode in profile.modes:
         inside = [one for one in points if mode.distance(one[0]) == 0]
-        found, stated = fit_log_log(*zip(*inside, strict=True)).fit, mode.tukey_lambda_fit
-        assert stated is not None
+        fitted = fit_log_log(*zip(*inside, strict=True)).fit
         # To the last bits but a few: BLAS and numpy's logarithm choose their code by the processor.
-        assert asdict(found) == pytest.approx(asdict(stated), rel=1e-12)
+        assert asdict(fitted) == pytest.approx(asdict(there(mode.tukey_lambda_fit)), rel=1e-12)
     for iso, sigma in ((1600, 3.23), (2000, 1.44), (12800, 7.04), (25600, 12.18)):
         assert profile.sample(np.random.default_rng(0), iso=iso, row="measured").sigma_tl_dn == pytest.approx(
             sigma, abs=0.005

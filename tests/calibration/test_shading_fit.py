@@ -52,8 +52,13 @@ class Truth:
         return np.rint(BLACK_DN + self.shading(iso) + noise + 400.0 * self.hot).astype(np.uint16)
 
 
-def made(generator: np.random.Generator) -> Truth:
+pattern_of = partial(stacked, Camera(cfa=CFA))
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
     """Slopes that differ from pixel to pixel and across the frame, by 1 to 2 sigma; 12 hot pixels, two of them near."""
+    generator = np.random.default_rng(16)
     across = np.linspace(-1, 1, SHAPE[1])[None, None] * np.array([1.0, -0.5])[:, None, None]
     hot = np.zeros(SHAPE, dtype=np.bool_)
     hot.ravel()[generator.choice(hot.size, 10, replace=False)] = True
@@ -66,25 +71,12 @@ def made(generator: np.random.Generator) -> Truth:
     )
 
 
-pattern_of = partial(stacked, Camera(cfa=CFA))
-
-
-def fitted(truth: Truth, generator: np.random.Generator, starts: tuple[int, ...]) -> DarkShading:
-    fit = ShadingFit(starts)
-    for iso in generator.permutation(SPEEDS).tolist():  # in any order
-        frames = [truth.frame(iso, generator) for _ in range(FRAMES)]
-        fit.add(iso, pattern_of(frames), BLACK, (0.1,) * 4)
-    return fit.shading("Simulated", "a test")
-
-
-@pytest.fixture(scope="module")
-def truth() -> Truth:
-    return made(np.random.default_rng(16))
-
-
 @pytest.fixture(scope="module")
 def shading(truth: Truth) -> DarkShading:
-    return fitted(truth, np.random.default_rng(17), (STEP,))
+    fit, generator = ShadingFit((STEP,)), np.random.default_rng(17)
+    for iso in generator.permutation(SPEEDS).tolist():  # in any order
+        fit.add(iso, pattern_of([truth.frame(iso, generator) for _ in range(FRAMES)]), BLACK, (0.1,) * 4)
+    return fit.shading("Simulated", "a test")
 
 
 def test_the_shading_comes_back_within_its_standard_errors(truth: Truth, shading: DarkShading) -> None:

@@ -103,7 +103,7 @@ def test_scores_are_those_of_sfrns_arithmetic(phone: str, root: Path) -> None:
 def test_sidd_cc_is_scored_by_the_manifest_of_the_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two files, which the document's block writes; references keep their negatives where the protocol clips none."""
     page = (Path(__file__).parents[2] / "docs" / "datasets.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"```python\n(\"\"\"The manifest of a copy of SIDD-CC.*?)```", page, re.DOTALL)
+    (block,) = re.findall(r"### SIDD-CC\n.*?```python\n(.*?)```", page, re.DOTALL)
     monkeypatch.chdir(tmp_path)
     records = [one for one in shipped_manifest("sidd").records if one.path.split("/")[2][:4] in ("0001", "0200")]
     write_corrected(tmp_path / "data" / "SIDD-CC", records)

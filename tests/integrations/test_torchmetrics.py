@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
+from torch.multiprocessing.spawn import spawn
 
 from eldata import metrics
 from eldata.datasets import ELDDataset, PackedStore
@@ -263,7 +264,7 @@ def test_two_processes_with_uneven_batches(tmp_path: Path) -> None:
         "none here": [[[0, 1, 2, 3, 4, 5]], []],
         "none first": [[], [[0], [1, 2, 3, 4, 5]]],
     }
-    torch.multiprocessing.spawn(score_parts, (str(tmp_path), cases), nprocs=2)  # type: ignore[no-untyped-call]
+    spawn(score_parts, (str(tmp_path), cases), nprocs=2)  # type: ignore[no-untyped-call]
     found = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
     for module in MODULES:
         alone = module()

@@ -141,7 +141,7 @@ ENGINES = [
 ]
 
 
-def poisson_p_value(counts: NDArray[np.float64], mean: float) -> float:
+def poisson_p_value(counts: NDArray[np.floating[Any]], mean: float) -> float:
     """The chi-square test of whole numbers against Poisson(mean), cells of an expectation of 20 or more."""
     whole = np.rint(counts).astype(np.int64)
     # Float32 steps at hundreds of DN.

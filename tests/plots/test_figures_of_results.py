@@ -358,7 +358,7 @@ def test_a_store_draws_its_crop(pristine: Tree, tmp_path: Path) -> None:
     noisy, clean, _ = images_of(packed.plot(5))
     assert noisy.shape == clean.shape == (16, 16, 3)
     sample = packed[5]
-    shown = preview(sample["target"].numpy() * brightening(sample["target"].numpy()), packed._seen(5)[1])
+    shown = preview(sample["target"].numpy() * brightening(sample["target"].numpy()), packed._read_to_show(5)[1])
     np.testing.assert_array_equal(clean, shown)
     assert_shows_in_a_notebook(packed, "PackedStore", "eld.h5", "crop=16, augment=True")
 

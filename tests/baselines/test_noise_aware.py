@@ -17,7 +17,7 @@ from safetensors.torch import load_file
 from eldata.base.workers import Workers
 from eldata.baselines import unet
 from eldata.baselines.classical import SignalNoise, noise_of_parameters, stabilised
-from eldata.baselines.noisy_frames import denoise
+from eldata.baselines.photographs import denoise
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.baselines.unet import NoiseAwareUNet, remove_noise, stabilise, undo
 from eldata.datasets import Arrays, SyntheticPairs

@@ -13,7 +13,7 @@ from tests.waiting import PATIENCE_S
 if TYPE_CHECKING:
     from tests.evaluation.helpers import Tree
 
-MODULE = [sys.executable, "-m", "eldata.cli.main"]
+MODULE = [sys.executable, "-m", "eldata"]
 
 
 def call(*arguments: str | Path, stdout: int = subprocess.PIPE) -> subprocess.CompletedProcess[str]:

@@ -5,9 +5,11 @@ The random numbers, and what makes results independent of threads and batches, a
 
 from __future__ import annotations
 
+import logging
 import math
+import time
 from collections import namedtuple
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,15 +41,16 @@ from eldata.noise._random_kernels import (
     words,
 )
 from eldata.noise.components import COMPONENTS, packed_rows
-from eldata.noise.parameters import NoiseParameters
+from eldata.noise.parameters import NoiseDraw, NoiseParameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.noise.parameters import Adc, NoiseDraw
+    from eldata.noise.parameters import Adc
 
+_LOG = logging.getLogger(__name__)
 BITS = {name: 1 << place for place, name in enumerate(COMPONENTS)}
 """The components, as :attr:`Draw.components` holds them."""
 P, P_STAR, G, G_STAR, B, R, U = BITS.values()
@@ -180,6 +183,20 @@ def expose_compiled(
 
     in_threads(fill, pieces, threads)
     return result
+
+
+@cache
+def prepare() -> None:
+    """Compile or load the engine in this process, before workers begin that would each compile it.
+
+    It is kept on disk; where it was not yet, a line says how long it took.
+    """
+    began = time.perf_counter()
+    draw = NoiseDraw(NoiseParameters(1.0, 0.1, 1.0, 1.0, 1.0), ratio=1.0, range_dn=1.0)
+    expose_compiled(np.zeros((1, 4, 1, 1), np.float32), [draw], tuple(COMPONENTS), keys=[0])
+    took_s = time.perf_counter() - began
+    if add_noise.stats.cache_misses and took_s > 1:  # type: ignore[attr-defined] # numba's
+        _LOG.warning("eldata compiled its noise model in %.0f s, once for this machine and version", took_s)
 
 
 def _figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool) -> NDArray[np.void]:

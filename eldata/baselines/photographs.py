@@ -12,8 +12,10 @@ from eldata import __version__
 from eldata.base.files import atomic_write
 from eldata.base.numbers import checked_number
 from eldata.baselines.classical import BASELINES, SignalNoise
+from eldata.baselines.networks import load_network
 from eldata.baselines.noisy_frames import estimate_line, line_of_profile
-from eldata.errors import ArgumentError
+from eldata.baselines.tiling import tiled
+from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import brightening, preview
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import packed_area, packed_black_level_dn, packing_sites, unpack
@@ -23,6 +25,7 @@ from eldata.sources.frames import Frame
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.baselines.networks import NetworkDenoiser
     from eldata.noise.profile import CameraProfile
     from eldata.raw.levels import FrameLevels
     from eldata.records import RawFrame
@@ -52,7 +55,7 @@ def denoise(
         Of its camera; what it says of the frame's ISO is what the method is told, and ``"network"`` takes the colour
         bias off. ``None``: the noise is what the DNG's NoiseProfile states, or else estimated from the frame.
     method
-        One of :data:`METHODS`.
+        One of :data:`METHODS`, or a network of yours, as :func:`load_network` takes it, which is told no noise.
     ratio
         What it is amplified by, above 0.
     levels
@@ -80,27 +83,45 @@ def denoise(
     >>> denoise(noisy, CameraProfile.load("SonyA7S2"), ratio=100.0).shape  # one's own camera's
     (4, 256, 384)
     """
-    image, noise, _ = _amplify(frame, profile, method, ratio, levels)
-    return np.asarray(BASELINES[method].denoise(image, noise), dtype=np.float32)
+    return _denoise(frame, profile, method, ratio, levels)[1]
 
 
-def _amplify(
+def _denoise(
     frame: RawFrame, profile: CameraProfile | None, method: str, ratio: float, levels: FrameLevels
-) -> tuple[NDArray[np.float32], SignalNoise, str]:
-    """Return a frame packed and amplified, its noise, and where that is known from."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32], SignalNoise | None, str]:
+    """Return a frame packed and amplified, without its noise, the noise, and where that is known from."""
+    noisy, noise, known_from = Frame.of_decoded(frame).with_levels(levels), None, "known to the network alone"
+    checked_number("ratio", ratio, above=0)
     if method not in METHODS:
-        raise ArgumentError(f"no denoiser is called {method!r}; known are {', '.join(METHODS)}")
-    noisy = Frame.of_decoded(frame).with_levels(levels)
-    image = noisy.normalise("none", checked_number("ratio", ratio, above=0))
+        network = _load_network(method)
+        image = noisy.normalise(network.clip or "none", ratio)
+        sides = {"tile": network.tile, "overlap": network.overlap, "multiple": network.multiple}
+        return image, tiled(network.run, image, **sides), None, known_from
+    image = noisy.normalise("none", ratio)
     if profile is not None:
         iso = float(frame.exposure.iso or 0) or None
         noise = line_of_profile(profile, noisy.name, iso, ratio=ratio, range_dn=noisy.range_dn)
-        return image, noise, f"by the profile of {profile.camera}"
-    if frame.noise_profile is not None:
+        known_from = f"by the profile of {profile.camera}"
+    elif frame.noise_profile is not None:
         slope, offset = frame.noise_profile
         least = 1 / 12 / noisy.range_dn**2  # rounding to whole DN
-        return image, SignalNoise(slope * ratio, max(offset, least) * ratio**2), "as the file's NoiseProfile states it"
-    return image, estimate_line(image), "estimated from the photograph itself"
+        noise = SignalNoise(slope * ratio, max(offset, least) * ratio**2)
+        known_from = "as the file's NoiseProfile states it"
+    else:
+        noise, known_from = estimate_line(image), "estimated from the photograph itself"
+    return image, np.asarray(BASELINES[method].denoise(image, noise), dtype=np.float32), noise, known_from
+
+
+def _load_network(model: str) -> NetworkDenoiser:
+    """Load a network of the user's, of single frames."""
+    if ":" not in model and not Path(model).suffix:
+        raise ArgumentError(
+            f"no denoiser is called {model!r}; known are {', '.join(METHODS)}, a model's file, and package.module:name"
+        )
+    network = load_network(model)
+    if network.window > 1:
+        raise ArgumentError(f"{model} takes windows of {network.window} frames of a clip, and this is a photograph")
+    return network
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,11 +179,12 @@ def denoise_file(
     """
     path, header, frame = Path(out), read_header(source), read_raw(source)
     frame.whole_dn("a DNG")
-    image, noise, known_from = _amplify(frame, profile, method, ratio, "metadata")
-    cleaned = np.asarray(BASELINES[method].denoise(image, noise), dtype=np.float32)
-    noise_db = -10 * float(np.log10(np.mean(noise.variance(np.clip(image, 0.0, 1.0)))))
+    image, cleaned, noise, known_from = _denoise(frame, profile, method, ratio, "metadata")
+    if cleaned.shape != image.shape or not np.isfinite(cleaned).all():
+        raise DatasetError(f"{source}: {method} made {cleaned.shape} of {image.shape}, or values that are not finite")
     if picture is not None:
         _write_picture(Path(picture), frame, image, cleaned)
+    amplified = f", amplified {ratio:g} times" if ratio != 1 else ""
     write_dng(
         path,
         _round_to_dn(frame, cleaned),
@@ -170,9 +192,10 @@ def denoise_file(
         frame.exposure,
         taken=header.taken,
         orientation=frame.orientation,
-        software=f"eldata {__version__} denoise, {method}" + (f", amplified {ratio:g} times" if ratio != 1 else ""),
+        software=f"eldata {__version__} denoise, {Path(method).name}"
+        + (f", amplified {ratio:g} times" if ratio != 1 else ""),
     )
-    return DenoisedFile(path, known_from, (*frame.remarks, *_range_remarks(method, noise_db)))
+    return DenoisedFile(path, known_from, (*frame.remarks, *_range_remarks(method, image, noise)))
 
 
 def _round_to_dn(frame: RawFrame, cleaned: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -195,8 +218,11 @@ def _round_to_dn(frame: RawFrame, cleaned: NDArray[np.float32]) -> NDArray[np.ui
     return mosaic
 
 
-def _range_remarks(method: str, noise_db: float) -> tuple[str, ...]:
-    if method != "network" or _NOISIEST_DB <= noise_db <= _CLEANEST_DB:
+def _range_remarks(method: str, image: NDArray[np.float32], noise: SignalNoise | None) -> tuple[str, ...]:
+    if method != "network" or noise is None:
+        return ()
+    noise_db = -10 * float(np.log10(np.mean(noise.variance(np.clip(image, 0.0, 1.0)))))
+    if _NOISIEST_DB <= noise_db <= _CLEANEST_DB:
         return ()
     how = "less" if noise_db > _CLEANEST_DB else "more"
     remark = (

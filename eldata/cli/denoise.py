@@ -17,16 +17,13 @@ from eldata.base import console
 from eldata.base.files import write_problem
 from eldata.errors import ArgumentError, EldataError
 
-METHODS = ("network", "dct", "bm3d", "anscombe-bm3d")
-
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
     parser.add_argument("files", metavar="RAW", nargs="+", help="raw files")
     parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a file.dng, or a folder for several")
-    parser.add_argument(
-        "--method", choices=METHODS, default="network", help=f"{', '.join(METHODS)} (default: %(default)s)"
-    )
+    text = "dct, bm3d, anscombe-bm3d, or a network of yours, as eldata predict takes it (default: %(default)s)"
+    parser.add_argument("--method", metavar="M", default="network", help=text)
     parser.add_argument("--profile", metavar="P", help="profile of the camera's noise, by name or file")
     parser.add_argument("--amplify", type=float, default=1.0, metavar="R", help="multiply the light (default: 1)")
     console.add_output(parser, "--preview", metavar="PNG", help="write the middle before and after (one file)")

@@ -13,8 +13,7 @@ import pytest
 import rawpy
 from PIL import Image
 
-from eldata.baselines.photographs import METHODS, denoise_file
-from eldata.cli import denoise as command
+from eldata.baselines.photographs import denoise_file
 from eldata.cli.main import main
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile
@@ -26,6 +25,7 @@ from tests.raw.helpers import BAYER, EXPOSURE, add_tags, make_sensor, xtrans_at
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import torch
     from numpy.typing import NDArray
 
     from eldata.records import Sensor
@@ -221,5 +221,16 @@ def test_what_is_asked_for_is_refused_before_any_work(
     assert words in capsys.readouterr().err
 
 
-def test_the_commands_methods_are_the_packages() -> None:
-    assert sorted(command.METHODS) == sorted(METHODS)
+def halved(image: torch.Tensor) -> torch.Tensor:
+    """A network of somebody's."""
+    return image / 2
+
+
+def test_a_network_of_ones_own(tmp_path: Path) -> None:
+    source, out = tmp_path / "a.dng", tmp_path / "b.dng"
+    photograph(source, sensor_of(), clipped=False)
+    made = denoise_file(source, out, method=f"{__name__}:halved")
+    assert (made.noise, made.remarks) == ("known to the network alone", ())
+    black = np.take(sensor_of().black_level_dn, np.array(sensor_of().cfa))[0, 0]
+    before, after = (read_raw(path).mosaic[::2, ::2][:160].astype(float) - black for path in (source, out))
+    np.testing.assert_allclose(after, before / 2, atol=0.51)

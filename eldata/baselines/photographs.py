@@ -192,8 +192,7 @@ def denoise_file(
         frame.exposure,
         taken=header.taken,
         orientation=frame.orientation,
-        software=f"eldata {__version__} denoise, {Path(method).name}"
-        + (f", amplified {ratio:g} times" if ratio != 1 else ""),
+        software=f"eldata {__version__} denoise, {Path(method).name}{amplified}",
     )
     return DenoisedFile(path, known_from, (*frame.remarks, *_range_remarks(method, image, noise)))
 

@@ -141,7 +141,7 @@ class RawHeader:
 
     ``taken``: by the camera's clock, which knows no time zone, with a fraction of a second where the file has one.
     ``remarks``: those of :class:`RawFrame` that take no pixels. ``levels_dn``: mean black level and white level, where
-    the file has them in plain words, as a DNG.
+    the file has them in plain words, as a DNG. ``orientation``: EXIF's, 1 to 8.
     """
 
     path: Path
@@ -151,6 +151,7 @@ class RawHeader:
     taken: datetime | None = None
     remarks: tuple[str, ...] = ()
     levels_dn: tuple[float, float] | None = None
+    orientation: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,6 +171,11 @@ class RawFrame:
         LibRaw's own white level per CFA channel, where it has one; protocols may ask for it.
     remarks
         What is right about the file but should be known, a sentence each (:mod:`eldata.raw.reading`).
+    orientation
+        EXIF's, 1 to 8: how to turn the picture for viewing. The mosaic is never turned.
+    noise_profile
+        Slope and offset of the noise's variance over the signal, of shares of white, by a DNG's NoiseProfile: the mean
+        of its planes. ``None``: none is stated.
     """
 
     path: Path
@@ -178,6 +184,8 @@ class RawFrame:
     exposure: Exposure
     channel_white_levels_dn: tuple[float, ...] | None = None
     remarks: tuple[str, ...] = ()
+    orientation: int = 1
+    noise_profile: tuple[float, float] | None = None
 
     def whole_dn(self, purpose: str) -> NDArray[np.uint16]:
         """Return the mosaic, for a purpose that only whole DN serve.

@@ -45,6 +45,8 @@ def rooms_that_import(root: Path = ROOT) -> Graph:
     """Return for each room the other rooms that it imports from."""
     graph: Graph = {}
     for path in sorted([*(root / "eldata").rglob("*.py"), *(root / "capture").rglob("*.py")]):
+        if path.name == "__main__.py":  # which `python -m` alone runs
+            continue
         room = room_of(".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__"))
         names = imported(ast.parse(path.read_text(encoding="utf-8")))
         found = {room_of(name) for name in names if name.split(".")[0] in ("eldata", "capture") and name != "eldata"}

@@ -10,9 +10,10 @@ import argparse
 import os
 import signal
 import sys
+import tempfile
 import threading
 import traceback
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
 from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
@@ -153,7 +154,7 @@ def add_shared(
     if "root" in options:
         parser.add_argument("--root", metavar="R", help="datasets' folder (default: $ELDATA_ROOT, else ./data)")
     if json:
-        add_output(parser, "--json", help="write what is shown to FILE, machine-readable")
+        add_output(parser, "--json", help="write what is shown to FILE, machine-readable; -: to standard output")
     if "jobs" in options or "workers" in options:
         text = "files to work on at a time (default: one per CPU)"
         where = parser.add_mutually_exclusive_group()
@@ -338,16 +339,27 @@ def _terminate(number: int, _: object) -> None:
 
 
 def _parse_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: Arguments) -> int:
+    words = sys.argv[1:] if argv is None else argv
     try:
-        parser.parse_args(argv, arguments)
+        parser.parse_args([*words[1:], "--help"] if words[:1] == ["help"] else words, arguments)
     except SystemExit as leaving:  # argparse has said why
         return leaving.code if isinstance(leaving.code, int) else UNUSABLE
     if not hasattr(arguments, "run"):
         arguments.bare.print_help(sys.stderr)
         return UNUSABLE
-    if hasattr(arguments, "outputs"):
-        _check_outputs(arguments)
-    code: int = arguments.run(arguments)
+    streamed = [dest for dest in ("json", "csv") if getattr(arguments, dest, None) == "-"]
+    if len(streamed) > 1:
+        raise ArgumentError("--json - and --csv - would both go to standard output; name a file for one")
+    with tempfile.TemporaryDirectory() if streamed else nullcontext("") as folder:
+        for dest in streamed:
+            setattr(arguments, dest, str(Path(folder, dest)))
+        if hasattr(arguments, "outputs"):
+            _check_outputs(arguments)
+        with redirect_stdout(sys.stderr) if streamed else nullcontext():
+            code: int = arguments.run(arguments)
+        for dest in streamed:
+            with suppress(FileNotFoundError):  # of a command that found nothing to write
+                sys.stdout.write(Path(getattr(arguments, dest)).read_text(encoding="utf-8"))
     return code
 
 

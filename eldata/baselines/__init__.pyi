@@ -3,7 +3,8 @@ from .exported import save_network as save_network
 from .networks import NetworkDenoiser as NetworkDenoiser
 from .networks import load_network as load_network
 from .noisy_frames import NoisyFrame as NoisyFrame
-from .noisy_frames import denoise as denoise
+from .photographs import denoise as denoise
+from .photographs import denoise_file as denoise_file
 from .predicting import BaselineDenoiser as BaselineDenoiser
 from .predicting import Denoiser as Denoiser
 from .predicting import write_predictions as write_predictions

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.numbers import checked_number
-from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_image, noise_of_parameters
+from eldata.baselines.classical import SignalNoise, noise_of_image, noise_of_parameters
 from eldata.baselines.exported import checked_window
 from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import render_to_8_bits
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.noise.parameters import NoiseParameters
 from eldata.noise.profile import rows_nearest, rows_of
-from eldata.sources.frames import Files, Frame
+from eldata.sources.frames import Files
 from eldata.sources.pairs import PairOpener
 
 if TYPE_CHECKING:
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
     from eldata.noise.profile import CameraProfile
     from eldata.protocols.protocol import Protocol as ScoringProtocol
     from eldata.raw.levels import Clip as ClipRange
-    from eldata.raw.levels import FrameLevels
-    from eldata.records import RawFrame
 
     Values = NDArray[np.floating[Any]]
 
@@ -224,52 +221,3 @@ def find_parameters(profile: CameraProfile, iso: float) -> NoiseParameters:
     nearest = (rows_nearest(gain, rows) or rows)[0]  # lambda goes with the gain
     scales, step = mode.scales_dn(gain, (0.0, 0.0, 0.0)), profile.quantisation_step_dn
     return NoiseParameters(gain, nearest.tukey_lambda, *scales, quantisation_step_dn=step)
-
-
-def denoise(
-    frame: RawFrame, profile: CameraProfile | None = None, *, ratio: float = 1.0, levels: FrameLevels = "metadata"
-) -> NDArray[np.float32]:
-    """Return a raw frame without its noise, as the network that ships makes it (docs/baselines.md has its card).
-
-    Parameters
-    ----------
-    frame
-        Of a Bayer camera, as :func:`eldata.raw.read_raw` returns it.
-    profile
-        Of its camera; what it says of the frame's ISO is what the network is told, and the colour bias is taken off.
-        ``None``: the noise is estimated from the frame.
-    ratio
-        What it is amplified by, above 0.
-    levels
-        As :func:`eldata.evaluate`'s protocols have them: the file's own, or the published constant.
-
-    Returns
-    -------
-    ndarray
-        (4, h, w) float32, packed, black at 0 and white at 1, times the ratio; not clipped.
-
-    Raises
-    ------
-    DatasetError
-        If the frame is not of Bayer's four channels, states no ISO that the profile could be asked for, or without a
-        profile does not tell its noise.
-    ArgumentError
-        If the profile does not know the ISO, or the ratio is not above 0.
-
-    Examples
-    --------
-    >>> from eldata.baselines import denoise
-    >>> from eldata.noise import CameraProfile
-    >>> from eldata.raw import read_raw
-    >>> noisy = read_raw("eldata-demo/data/ELD-demo/DemoAlpha/scene-1/IMG_0012.dng")
-    >>> denoise(noisy, CameraProfile.load("SonyA7S2"), ratio=100.0).shape  # one's own camera's
-    (4, 256, 384)
-    """
-    noisy = Frame.of_decoded(frame).with_levels(levels)
-    image = noisy.normalise("none", checked_number("ratio", ratio, above=0))
-    if profile is None:
-        line = estimate_line(image)
-    else:
-        iso = float(frame.exposure.iso or 0) or None
-        line = line_of_profile(profile, noisy.name, iso, ratio=ratio, range_dn=noisy.range_dn)
-    return np.asarray(BASELINES["network"].denoise(image, line), dtype=np.float32)

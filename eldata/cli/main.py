@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 _COMMANDS = (
     *("demo", "info", "download", "manifest", "verify", "lock"),
-    *("baseline", "predict", "protocols", "evaluate", "compare"),
+    *("denoise", "baseline", "predict", "protocols", "evaluate", "compare"),
     *("calibrate", "synthesize", "profile", "pack"),
 )
 

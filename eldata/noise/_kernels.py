@@ -5,9 +5,11 @@ The random numbers, and what makes results independent of threads and batches, a
 
 from __future__ import annotations
 
+import logging
 import math
+import time
 from collections import namedtuple
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,15 +41,16 @@ from eldata.noise._random_kernels import (
     words,
 )
 from eldata.noise.components import COMPONENTS, packed_rows
-from eldata.noise.parameters import NoiseParameters
+from eldata.noise.parameters import NoiseDraw, NoiseParameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.noise.parameters import Adc, NoiseDraw
+    from eldata.noise.parameters import Adc
 
+_LOG = logging.getLogger(__name__)
 BITS = {name: 1 << place for place, name in enumerate(COMPONENTS)}
 """The components, as :attr:`Draw.components` holds them."""
 P, P_STAR, G, G_STAR, B, R, U = BITS.values()
@@ -164,6 +167,7 @@ def expose_compiled(
         places=np.tile(np.arange(under, dtype=np.uint64), len(keys)),
     )
     planes, size = images * channels, rows * columns
+    flat_clean, flat_out = clean.reshape(planes, size), result.reshape(planes, size)
     if size < _PIECE:
         whole = max(1, _PIECE // size)
         pieces = [(first, min(first + whole, planes), 0, rows) for first in range(0, planes, whole)]
@@ -172,8 +176,27 @@ def expose_compiled(
         pieces = [
             (plane, plane + 1, row, min(row + band, rows)) for plane in range(planes) for row in range(0, rows, band)
         ]
-    in_threads(lambda piece: add_noise(clean, result, record, *piece), pieces, threads)
+
+    def fill(piece: tuple[int, int, int, int]) -> None:
+        marks_of_8 = np.zeros(STRIP // 8, np.uint64)  # one memory seen in two ways, which takes seconds to compile
+        add_noise(flat_clean, flat_out, record, marks_of_8.view(np.uint8), marks_of_8, channels, columns, *piece)
+
+    in_threads(fill, pieces, threads)
     return result
+
+
+@cache
+def prepare() -> None:
+    """Compile or load the engine in this process, before workers begin that would each compile it.
+
+    It is kept on disk; where it was not yet, a line says how long it took.
+    """
+    began = time.perf_counter()
+    draw = NoiseDraw(NoiseParameters(1.0, 0.1, 1.0, 1.0, 1.0), ratio=1.0, range_dn=1.0)
+    expose_compiled(np.zeros((1, 4, 1, 1), np.float32), [draw], tuple(COMPONENTS), keys=[0])
+    took_s = time.perf_counter() - began
+    if add_noise.stats.cache_misses and took_s > 1:  # type: ignore[attr-defined] # numba's
+        _LOG.warning("eldata compiled its noise model in %.0f s, once for this machine and version", took_s)
 
 
 def _figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool) -> NDArray[np.void]:
@@ -289,113 +312,99 @@ def _lay_offset(
 
 
 @kernel
-def _add_noise_rows(
-    clean: NDArray[np.float32],
-    out: NDArray[np.float32],
-    draw: Any,
-    image: int,
-    channel: int,
-    first_row: int,
-    last_row: int,
-) -> None:
-    """Fill rows ``first_row`` to ``last_row`` of one packed channel."""
-    rows, columns = clean.shape
-    # Taken out of the record once: each look into it counts references, which costs as much as many pixels.
-    components, converts = draw.components, draw.converts
-    figures, power, under = draw.figures[image, channel], draw.power[image], draw.row_table[channel]
-    dark, period, (coarse_table, fine_table) = draw.dark[image, channel], draw.row_period, draw.tables
-    key, number = draw.keys[image], draw.places[image]
-    shot_1, shot_2 = stream(key, number, SHOT)
-    rest_1, rest_2 = stream(key, number, SHOT_REST)
-    large_1, large_2 = stream(key, number, SHOT_LARGE)
-    read_1, read_2 = stream(key, number, READ)
-    row_1, row_2 = stream(key, number, ROW)
-    bias = figures.bias_dn if components & B else _ZERO
-    sigma_row = figures.sigma_row_dn if components & R else _ZERO
-    entries = np.empty((2, STRIP), np.uint64)
-    integers = np.empty((7, STRIP), np.uint32)
-    floats = np.empty((6, STRIP), np.float32)
-    marks = np.zeros(STRIP, np.uint8)
-    marks_of_8 = marks.view(np.uint64)
-
-    # Whole rows lie side by side: a strip takes as many as it has room for, or short rows would fill no vector.
-    together = max(1, STRIP // columns)
-    flat_clean, flat_out = clean.reshape(-1), out.reshape(-1)
-    for start in range(0, columns, STRIP):
-        width = min(start + STRIP, columns) - start
-        for row in range(first_row, last_row, together):
-            count = min(together, last_row - row)
-            begin, size = row * columns + start, count * width
-            high, low = integers[0, :size], integers[1, :size]
-            rest_number, dither = integers[2, :size], integers[3, :size]
-            digits, coarse, fine = integers[4, :size], integers[5, :size], integers[6, :size]
-            mean, value, rest = floats[0, :size], floats[1, :size], floats[2, :size]
-            offset, noise, tail = floats[3, :size], floats[4, :size], floats[5, :size]
-            coarse_entry, fine_entry = entries[0, :size], entries[1, :size]
-            mark, mark_of_8 = marks[:size], marks_of_8[: (size + 7) // 8]
-            pixel = _U8(channel * rows * columns) + _U8(begin)
-            _events(flat_clean[begin : begin + size], figures.events, mean)
-            if components & (P_STAR | U):
-                words(rest_number, dither, rest_1, rest_2, pixel)
-            if components & P_STAR:
-                beyond = split_means(mean, digits, rest)
-                words(high, low, shot_1, shot_2, pixel)
-                find_columns(high, low, digits, coarse, fine)
-                fetch(coarse, fine, coarse_table, fine_table, coarse_entry, fine_entry)
-                choose(high, low, digits, coarse_entry, fine_entry, value)
-                mark_rest(rest_number, rest, mark)
-                add_rest(mark, mark_of_8, rest_number, rest, value)
-                if beyond > 0:
-                    add_large(mean, value, large_1, large_2, pixel)
-            elif components & P:
-                words(high, low, shot_1, shot_2, pixel)
-                gaussian_draws(high, low, noise)
-                _add_spread(mean, noise, value)
-            else:
-                value[:] = mean
-
-            for place in range(count):
-                here, of_row = row + place, offset[place * width : (place + 1) * width]
-                _lay_offset(of_row, bias, sigma_row, under, period, here, start, row_1, row_2)
-                if dark.size > 0:
-                    _add_frame(of_row, dark[here, start : start + width])
-
-            if components & (G | G_STAR):
-                words(high, low, read_1, read_2, pixel)
-                if components & G:
-                    gaussian_draws(high, low, noise)
-                    _compose(value, figures.gain_dn_per_e, figures.sigma_gauss_dn, noise, offset)
-                else:
-                    tukey_lambda_draws(high, low, figures.tukey_lambda, power, tail, noise)
-                    _compose(value, figures.gain_dn_per_e, figures.sigma_tl_dn, noise, offset)
-            else:
-                _compose_noiseless(value, figures.gain_dn_per_e, offset)
-
-            if components & U:
-                add_uniform(value, dither, figures.quantisation_step_dn)
-            if converts:
-                _convert(value, figures.black, figures.white, figures.quantisation_step_dn)
-            _finish(value, flat_out[begin : begin + size], figures.scale, figures.low, figures.high)
-
-
-@kernel
 def add_noise(
     clean: NDArray[np.float32],
     out: NDArray[np.float32],
     draw: Any,
+    marks: NDArray[np.uint8],
+    marks_of_8: NDArray[np.uint64],
+    channels: int,
+    columns: int,
     first: int,
     last: int,
     first_row: int,
     last_row: int,
 ) -> None:
-    """Fill rows ``first_row`` to ``last_row`` of the channels ``first`` to ``last``, all images' being numbered on.
+    """Fill rows ``first_row`` to ``last_row`` of the planes ``first`` to ``last``: all images' channels, one by one.
 
     One call for many small images: a call from Python costs as much as the noise of a thousand pixels.
     """
-    channels = clean.shape[1]
+    entries = np.empty((2, STRIP), np.uint64)
+    integers = np.empty((7, STRIP), np.uint32)
+    floats = np.empty((6, STRIP), np.float32)
+    # Whole rows lie side by side: a strip takes as many as it has room for, or short rows would fill no vector.
+    together = max(1, STRIP // columns)
     for plane in range(first, last):
-        image, channel = plane // channels, plane % channels
-        _add_noise_rows(clean[image, channel], out[image, channel], draw, image, channel, first_row, last_row)
+        image, channel, pixels = plane // channels, plane % channels, clean[plane]
+        # Taken out of the record once: each look into it counts references, which costs as much as many pixels.
+        components, converts = draw.components, draw.converts
+        figures, power, under = draw.figures[image, channel], draw.power[image], draw.row_table[channel]
+        dark, period, (coarse_table, fine_table) = draw.dark[image, channel], draw.row_period, draw.tables
+        key, number = draw.keys[image], draw.places[image]
+        shot_1, shot_2 = stream(key, number, SHOT)
+        rest_1, rest_2 = stream(key, number, SHOT_REST)
+        large_1, large_2 = stream(key, number, SHOT_LARGE)
+        read_1, read_2 = stream(key, number, READ)
+        row_1, row_2 = stream(key, number, ROW)
+        bias = figures.bias_dn if components & B else _ZERO
+        sigma_row = figures.sigma_row_dn if components & R else _ZERO
+
+        for start in range(0, columns, STRIP):
+            width = min(start + STRIP, columns) - start
+            for row in range(first_row, last_row, together):
+                count = min(together, last_row - row)
+                begin, size = row * columns + start, count * width
+                high, low = integers[0, :size], integers[1, :size]
+                rest_number, dither = integers[2, :size], integers[3, :size]
+                digits, coarse, fine = integers[4, :size], integers[5, :size], integers[6, :size]
+                mean, value, rest = floats[0, :size], floats[1, :size], floats[2, :size]
+                offset, noise, tail = floats[3, :size], floats[4, :size], floats[5, :size]
+                coarse_entry, fine_entry = entries[0, :size], entries[1, :size]
+                mark, mark_of_8 = marks[:size], marks_of_8[: (size + 7) // 8]
+                pixel = _U8(channel * pixels.size) + _U8(begin)
+                _events(pixels[begin : begin + size], figures.events, mean)
+                if components & (P_STAR | U):
+                    words(rest_number, dither, rest_1, rest_2, pixel)
+                if components & P_STAR:
+                    beyond = split_means(mean, digits, rest)
+                    words(high, low, shot_1, shot_2, pixel)
+                    find_columns(high, low, digits, coarse, fine)
+                    fetch(coarse, fine, coarse_table, fine_table, coarse_entry, fine_entry)
+                    choose(high, low, digits, coarse_entry, fine_entry, value)
+                    mark_rest(rest_number, rest, mark)
+                    add_rest(mark, mark_of_8, rest_number, rest, value)
+                    if beyond > 0:
+                        add_large(mean, value, large_1, large_2, pixel)
+                elif components & P:
+                    words(high, low, shot_1, shot_2, pixel)
+                    gaussian_draws(high, low, noise)
+                    _add_spread(mean, noise, value)
+                else:
+                    for j in range(size):  # assigning to a slice compiles its message about shapes, in two seconds
+                        value[j] = mean[j]
+
+                for place in range(count):
+                    here, of_row = row + place, offset[place * width : (place + 1) * width]
+                    _lay_offset(of_row, bias, sigma_row, under, period, here, start, row_1, row_2)
+                    if dark.size > 0:
+                        _add_frame(of_row, dark[here, start : start + width])
+
+                if components & (G | G_STAR):
+                    words(high, low, read_1, read_2, pixel)
+                    if components & G:
+                        gaussian_draws(high, low, noise)
+                        _compose(value, figures.gain_dn_per_e, figures.sigma_gauss_dn, noise, offset)
+                    else:
+                        tukey_lambda_draws(high, low, figures.tukey_lambda, power, tail, noise)
+                        _compose(value, figures.gain_dn_per_e, figures.sigma_tl_dn, noise, offset)
+                else:
+                    _compose_noiseless(value, figures.gain_dn_per_e, offset)
+
+                if components & U:
+                    add_uniform(value, dither, figures.quantisation_step_dn)
+                if converts:
+                    _convert(value, figures.black, figures.white, figures.quantisation_step_dn)
+                _finish(value, out[plane, begin : begin + size], figures.scale, figures.low, figures.high)
 
 
 @kernel

@@ -51,8 +51,8 @@ POWER_TERMS = 10
 STRIP = 512
 """Pixels that are drawn at a time."""
 
-SHOT, SHOT_REST, SHOT_LARGE, READ, ROW = range(5)
-"""Components that have their own stream."""
+SHOT, SHOT_REST, SHOT_LARGE, READ, ROW = (np.uint64(number) for number in range(5))
+"""Components that have their own stream; of numpy's type, since kernels are compiled again for each Python number."""
 
 COARSE_STEP = 8
 """Step of the means of the coarse tables, in events."""
@@ -154,9 +154,9 @@ def _mix(z: Any) -> Any:
 
 
 @kernel
-def stream(key: Any, image: Any, component: int) -> Any:
+def stream(key: Any, image: Any, component: Any) -> Any:
     """Return the two keys of a stream."""
-    z = _mix(_mix(_mix(key + _WEYL) + _U8(image) * _WEYL) + _U8(component + 1) * _WEYL)
+    z = _mix(_mix(_mix(key + _WEYL) + _U8(image) * _WEYL) + (component + _U8(1)) * _WEYL)
     return z, _mix(z + _WEYL)
 
 

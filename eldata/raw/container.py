@@ -147,10 +147,12 @@ def _read_header(path: Path, image: Directory, exif: Directory) -> RawHeader:
     make, model = image.texts.get(tiff.MAKE, ""), image.texts.get(tiff.MODEL, "")
     if not make and not model:
         model = image.texts.get(tiff.UNIQUE_MODEL, "")
+    orientation = image.number(tiff.ORIENTATION, 1)
     times = (_positive(image, exif, tag) for tag in (tiff.EXPOSURE_TIME, tiff.F_NUMBER))
     return RawHeader(
-        path, make, model, Exposure(_read_iso(image, exif), *times), _read_taken(exif) or _read_taken(image)
-    )
+        path, make, model, Exposure(_read_iso(image, exif), *times), _read_taken(exif) or _read_taken(image),
+        orientation=orientation if 1 <= orientation <= 8 else 1,
+    )  # fmt: skip
 
 
 def _read_taken(directory: Directory) -> datetime | None:

@@ -148,6 +148,8 @@ def write_dng(
     *,
     compression: Compression = "none",
     taken: datetime | None = None,
+    orientation: int = 1,
+    software: str = "eldata",
 ) -> None:
     """Write a mosaic as a DNG, whole or not at all.
 
@@ -172,6 +174,10 @@ def write_dng(
         ``"none"``, or ``"lossless-jpeg"`` (smaller on disk, several times slower to decode).
     taken
         When, by the camera's clock; to the microsecond.
+    orientation
+        EXIF's, 1 to 8: how to turn the picture for viewing.
+    software
+        What made the pixels.
 
     Raises
     ------
@@ -182,8 +188,11 @@ def write_dng(
         If the file cannot be written.
     """
     check_choice("compression", compression, get_args(Compression))
+    if orientation not in range(1, 9):
+        raise ArgumentError(f"{path}: orientation {orientation}: expected EXIF's, 1 to 8")
+    made: list[Entry] = [(tiff.ORIENTATION, "H", (orientation,)), _text_entry(tiff.SOFTWARE, software)]
     try:
-        content = _encode(mosaic, sensor, exposure, compression, taken)
+        content = _encode(mosaic, sensor, exposure, compression, taken, made)
     except ArgumentError as error:
         raise ArgumentError(f"{path}: {error}") from error
     except (struct.error, ValueError) as error:  # NaN, infinity, or more than 32 bits
@@ -193,7 +202,12 @@ def write_dng(
 
 
 def _encode(
-    mosaic: NDArray[np.uint16], sensor: Sensor, exposure: Exposure, compression: Compression, taken: datetime | None
+    mosaic: NDArray[np.uint16],
+    sensor: Sensor,
+    exposure: Exposure,
+    compression: Compression,
+    taken: datetime | None,
+    made: list[Entry],
 ) -> tuple[bytes, bytes, bytes]:
     if mosaic.dtype != np.uint16 or mosaic.shape != (sensor.height, sensor.width):
         raise ArgumentError(
@@ -220,7 +234,7 @@ def _encode(
         short |= {tiff.PHOTOMETRIC: tiff.CFA_PHOTOMETRIC, tiff.SAMPLES: 1}
         entries = [(tag, "I", (value,)) for tag, value in image.items()]
         entries += [(tag, "H", (value,)) for tag, value in short.items()]
-        return b"II*\0" + struct.pack("<I", 8) + _pack_directory([*entries, *stated, _text_entry(305, "eldata")], 8)
+        return b"II*\0" + struct.pack("<I", 8) + _pack_directory([*entries, *stated, *made], 8)
 
     begin = len(head(0, 0))  # which stays as long
     end = begin + len(pixels)

@@ -61,7 +61,7 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import cache
 from itertools import chain, product
-from math import lcm
+from math import isfinite, lcm
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -224,7 +224,18 @@ def _read_frame(file: RawContainer) -> RawFrame:
         height, width = mosaic.shape
         sensor = Sensor(header.make, header.model, cfa, black, white, height, width, balance, matrix, illuminant)
     check_damage(path, file.directories, mosaic, black, white)
-    return RawFrame(path, mosaic, sensor, header.exposure, whites, (*remarks, *border_remarks(mosaic)))
+    remarks += border_remarks(mosaic)
+    noise = _read_noise_profile(first) if file.is_dng else None
+    return RawFrame(path, mosaic, sensor, header.exposure, whites, remarks, header.orientation, noise)
+
+
+def _read_noise_profile(first: Directory) -> tuple[float, float] | None:
+    """Slope and offset of a DNG's NoiseProfile, averaged over its planes; None where there is none that can be used."""
+    stated = [float(value) for value in first.values.get(tiff.NOISE_PROFILE, ())]
+    if not stated or len(stated) % 2 or not all(value >= 0 and isfinite(value) for value in stated):
+        return None
+    slope, offset = (sum(stated[part::2]) * 2 / len(stated) for part in (0, 1))
+    return (slope, offset) if slope + offset > 0 else None
 
 
 def _unpack(file: RawContainer, raw: rawpy.RawPy) -> None:

@@ -17,7 +17,8 @@ from safetensors.torch import load_file
 from eldata.base.workers import Workers
 from eldata.baselines import unet
 from eldata.baselines.classical import SignalNoise, apply_anscombe, noise_of_parameters
-from eldata.baselines.noisy_frames import denoise, line_of_profile
+from eldata.baselines.noisy_frames import line_of_profile
+from eldata.baselines.photographs import denoise
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.baselines.unet import NoiseAwareUNet, load_weights, remove_noise, stabilise, undo
 from eldata.datasets import Arrays, SyntheticPairs

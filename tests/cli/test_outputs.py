@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 from eldata.base.files import refuse_among
 from eldata.noise.profile import CameraProfile
 from tests.cases import in_one_test
-from tests.cli.conftest import Cli, room_for
+from tests.cli.conftest import Cli, Outcome, room_for
 
 if TYPE_CHECKING:
     from tests.evaluation.helpers import Tree
@@ -100,3 +101,15 @@ def test_a_full_disk_costs_an_evaluation_neither_its_table_nor_its_other_files(
     )
     assert Path("x.csv").read_text() == Path("whole.csv").read_text()
     assert sorted(path.name for path in Path.cwd().iterdir()) == ["whole.csv", "x.csv"]
+
+
+def test_data_to_standard_output_and_the_text_beside_it(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
+    options = ("evaluate", "--baseline", "input", "--manifest", str(tree.manifest), "--root", str(tree.root))
+    text = eldata(*options, "--csv", str(tmp_path / "a.csv"), "--json", str(tmp_path / "a.json")).out
+    written = (tmp_path / "a.csv").read_text(encoding="utf-8")
+    assert eldata(*options, "--csv", "-") == Outcome(0, written, text)
+    assert json.loads(eldata(*options, "--json", "-").out) == json.loads((tmp_path / "a.json").read_bytes())
+    outcome = eldata(*options, "--json", "-", "--csv", "-")
+    assert (outcome.code, outcome.out) == (2, "")
+    assert "would both go to standard output" in outcome.err
+    assert not Path("-").exists()

@@ -26,7 +26,7 @@ def test_the_installed_script_runs_and_its_exit_code_reaches_the_shell(own: Tree
 def test_a_closed_pipe_prints_no_traceback(tree: Tree) -> None:
     read, write = os.pipe()
     os.close(read)
-    command: list[str | Path] = [sys.executable, "-m", "eldata.cli.main", "verify", tree.manifest, "--root", tree.root]
+    command: list[str | Path] = [sys.executable, "-m", "eldata", "verify", tree.manifest, "--root", tree.root]
     result = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S)
     os.close(write)
     assert (result.returncode, result.stderr) == (141, "")

@@ -47,6 +47,12 @@ def test_no_command_lists_the_commands(eldata: Cli) -> None:
         assert all(f"\n    {name} " in outcome.err for name in names)
 
 
+def test_help_is_a_word_as_well_as_an_option(eldata: Cli) -> None:
+    assert eldata("help") == eldata("--help")
+    assert eldata("help", "profile", "show") == eldata("profile", "show", "--help")
+    assert_one_line(eldata("help", "verfy"), "did you mean verify?")
+
+
 # --- wrong usage ----------------------------------------------------------------------------------------------
 
 

@@ -11,11 +11,14 @@ import itertools
 import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 
+import numba
 import numpy as np
 import pytest
 from scipy import stats
 
+from eldata.datasets import Arrays, SyntheticPairs
 from eldata.noise import NoiseDraw, NoiseParameters, _kernels, _random_kernels, parse_components
 from eldata.noise._kernels import expose_compiled
 from tests.noise.helpers import moments_of_tukey_lambda, poisson_p_value
@@ -282,3 +285,17 @@ def test_the_stream_is_frozen() -> None:
     for spec in (FULL, "P+G+B+R+U"):
         digest.update(noisy(gradient((2, 4, 8, 600), 1600.0), spec, key=2026).astype("<f4").tobytes())
     assert digest.hexdigest()[:16] == "7b05bc1223dc25c5"
+
+
+def test_a_dataset_is_made_with_its_engine_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or each worker would compile it: all components, for the types that items have."""
+    calls: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(_kernels, "add_noise", Mock(side_effect=lambda *given: calls.append(given)))
+    _kernels.prepare.cache_clear()
+    source = Arrays(np.full((1, 4, 32, 32), 0.25, np.float32), range_dn=15871)
+    pairs = SyntheticPairs(source, "SonyA7S2", crop=8)
+    assert [call[2].components for call in calls] == [sum(_kernels.BITS.values())]
+    assert pairs[0] is not None
+    first, item = ([numba.typeof(value) for value in call] for call in calls)  # type: ignore[no-untyped-call]
+    assert first == item
+    _kernels.prepare.cache_clear()

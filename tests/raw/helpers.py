@@ -270,7 +270,7 @@ def add_tags(path: Path, *tags: Tag) -> None:
     path.write_bytes(content)
 
 
-_KINDS = {"B": 1, "H": 3, "I": 4, "2I": 5, "i": 9, "2i": 10}
+_KINDS = {"B": 1, "H": 3, "I": 4, "2I": 5, "i": 9, "2i": 10, "d": 12}
 
 
 def active_area(top: int, left: int, bottom: int, right: int) -> Tag:

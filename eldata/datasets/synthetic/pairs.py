@@ -21,6 +21,7 @@ from eldata.datasets.items import CroppedItems, DrawnItem, Part, keywords_of
 from eldata.datasets.synthetic.dark_frames import GAIN_SPREAD, DarkFrames
 from eldata.datasets.synthetic.draws import NoiseChoice, Turns, fewest_members
 from eldata.errors import ArgumentError, DatasetError, check_choice
+from eldata.noise._kernels import prepare
 from eldata.noise.model import NoiseModel, check_noise_maker, made_exposure, maker_name
 from eldata.raw.levels import CLIP_RANGES
 
@@ -83,6 +84,8 @@ class NoisyItems(CroppedItems[Sample]):
         self._turns = None if self._dark is None else _make_turns(owner, self._dark, self.noise, self.seed, exposures)
         records = map(getattr(source, method), range(len(source)))
         self._count_items(len(source), records if method == "frame" else (clip.frame(0) for clip in records))
+        if isinstance(self.model, NoiseModel):
+            prepare()  # or each worker would compile it
 
     def _draw_noise(
         self,

@@ -1,0 +1,78 @@
+"""`eldata denoise`: take the noise out of photographs of your own.
+
+Denoise raw files of Bayer or X-Trans cameras into DNGs that Lightroom, darktable and RawTherapee open, with the
+camera's levels, colours and exposure. The noise is told by --profile, else by the DNG's NoiseProfile, else by the
+photograph itself; which, is said. network, which ships, takes Bayer alone; bm3d and anscombe-bm3d need the bm3d
+package, which its authors allow for non-commercial use only.
+
+    eldata denoise IMG_0004.ARW -o IMG_0004.dng
+    eldata denoise night/*.NEF -o denoised --profile NikonD850
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from eldata.base import console
+from eldata.base.files import write_problem
+from eldata.errors import ArgumentError, EldataError
+
+
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
+    parser.add_argument("files", metavar="RAW", nargs="+", help="raw files")
+    parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a file.dng, or a folder for several")
+    text = "dct, bm3d, anscombe-bm3d, or a network of yours, as eldata predict takes it (default: %(default)s)"
+    parser.add_argument("--method", metavar="M", default="network", help=text)
+    parser.add_argument("--profile", metavar="P", help="profile of the camera's noise, by name or file")
+    parser.add_argument("--amplify", type=float, default=1.0, metavar="R", help="multiply the light (default: 1)")
+    console.add_output(parser, "--preview", metavar="PNG", help="write the middle before and after (one file)")
+    console.add_shared(parser, run)
+
+
+def run(arguments: console.Arguments) -> int:
+    """Run this command."""
+    outputs = _outputs(arguments)
+    from tqdm import tqdm
+
+    from eldata.baselines.photographs import denoise_file
+    from eldata.noise.profile import CameraProfile
+
+    profile = None if arguments.profile is None else CameraProfile.load(arguments.profile)
+    failed = False
+    for source, out in tqdm(outputs.items(), "denoising", unit="file", disable=None, leave=False):
+        try:
+            out.parent.mkdir(exist_ok=True)  # the folder for several
+            made = denoise_file(
+                source, out, profile, method=arguments.method, ratio=arguments.amplify, picture=arguments.preview
+            )
+        except EldataError as error:
+            if len(outputs) == 1:
+                raise
+            failed = True
+            print(error)
+            continue
+        print(f"{made.path}: noise {made.noise}")
+        for remark in made.remarks:
+            print(f"  {remark}")
+    return console.PROBLEMS if failed else console.OK
+
+
+def _outputs(arguments: console.Arguments) -> dict[Path, Path]:
+    """Name each photograph's DNG; none replaces a file that is there."""
+    sources, out = [Path(name) for name in dict.fromkeys(arguments.files)], Path(arguments.output)
+    if out.suffix.lower() == ".dng":
+        if len(sources) > 1:
+            raise ArgumentError(f"-o {out} is one file, and {len(sources)} photographs are given; name a folder")
+        outputs = {sources[0]: out}
+    else:
+        outputs = {source: out / f"{source.stem}.dng" for source in sources}
+    if len(set(outputs.values())) < len(outputs):
+        raise ArgumentError("two photographs have the same name; denoise them into folders of their own")
+    if arguments.preview and len(outputs) > 1:
+        raise ArgumentError("--preview is for one photograph")
+    for path in outputs.values() if out.suffix.lower() == ".dng" or out.exists() else [out]:
+        problem = "is there already" if path.exists() else write_problem(path)
+        if problem is not None:
+            raise ArgumentError(f"-o: cannot write {path}: {problem}")
+    return outputs

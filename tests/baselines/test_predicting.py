@@ -94,7 +94,7 @@ def test_from_the_command_to_a_better_score(pristine: Tree, tmp_path: Path, caps
 def test_other_processes_change_nothing(pristine: Tree, tmp_path: Path) -> None:
     """With profiles: the denoiser travels with its work."""
     denoiser = BaselineDenoiser("dct", tuple(known_profile(camera, (800, 1600, 3200)) for camera in CAMERAS))
-    found = []
+    found: list[dict[Path, bytes]] = []
     for workers in (1, Travelling()):
         out = tmp_path / str(len(found))
         write_predictions(denoiser, "", out, **where(pristine), workers=workers)

@@ -413,7 +413,12 @@ def exact(profile: CameraProfile, **options: Any) -> float:
 def test_an_iso_belongs_to_one_mode_and_nothing_is_known_between_them() -> None:
     """Half a stop above 1600 the lower mode's line is the nearer one, half a stop below 3200 the upper one's."""
 
-    lower, upper = (lambda gain, level=level: math.exp(0.75 * math.log(gain) + level) for level in (0.8, -0.1))
+    def lower(gain: float) -> float:
+        return math.exp(0.75 * math.log(gain) + 0.8)
+
+    def upper(gain: float) -> float:
+        return math.exp(0.75 * math.log(gain) - 0.1)
+
     assert exact(TWO, iso=1600) == pytest.approx(lower(1.6))
     assert exact(TWO, iso=1000) == pytest.approx(lower(1.0)), "in proportion within the mode"
     assert exact(TWO, iso=3200) == pytest.approx(upper(3.2))

@@ -118,6 +118,7 @@ def _run_several(arguments: console.Arguments) -> int:
         perform_each,
         write_results,
     )
+    from eldata.evaluation.predictions import check_folder
     from eldata.evaluation.request import make_request
 
     if arguments.baseline is not None:
@@ -133,6 +134,8 @@ def _run_several(arguments: console.Arguments) -> int:
     with console.chosen_workers(arguments) as workers:
         options = _take_options(arguments, workers)
         requests = [make_request(folder, **options) for folder in folders.values()]
+        for folder in folders.values():
+            check_folder(folder)
         if out is not None:
             _check_places(requests[0], out)
             make_results_folder(out, folders)

@@ -236,14 +236,19 @@ def _find_raws(folder: Path, names: Iterable[str], dataset: Path, paths: Iterabl
     return {name for name in names if f"{place}/{name}" in raws}
 
 
+def check_folder(folder: Path) -> None:
+    """Raise an EldataError unless a folder of predictions is there."""
+    problem = folder_problem(folder)
+    if problem is not None:
+        raise EldataError(f"{folder}: {problem}; give the one that holds the predictions, a file for each noisy frame")
+
+
 def _list_files(folder: Path) -> list[str]:
     """Return the files of a folder of predictions, relative to it, sorted.
 
     Hidden files and folders, and linked folders, are left out; a folder that is named like a prediction is there.
     """
-    problem = folder_problem(folder)
-    if problem is not None:
-        raise EldataError(f"{folder}: {problem}; give the one that holds the predictions, a file for each noisy frame")
+    check_folder(folder)
     files = (path.relative_to(folder) for path in visible_below(folder) if is_read(path.name) or not path.is_dir())
     return sorted(map(Path.as_posix, files))
 

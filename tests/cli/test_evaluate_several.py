@@ -72,9 +72,10 @@ def test_refusals(eldata: Cli, tree: Tree, several: list[Path], tmp_path: Path) 
         ([several[0], namesake], "would both be called 'first'"),
         ([several[0], several[1], "--json", tmp_path / "a.json"], "--json writes the result of one method"),
         ([several[0], several[1], "--name", "one"], "found 1 for 2 folders"),
-        ([several[0], tmp_path / "nowhere"], "nowhere"),
+        ([several[0], tmp_path / "nowhere", "-o", tmp_path / "results"], "nowhere: No such"),
         ([several[0], several[1], "-o", tmp_path / "file"], "File exists"),
         ([several[0], several[1], "-o", tmp_path / "no" / "folder"], "No such file"),
         (["--baseline", "input", "-o", tmp_path / "results"], "-o and --name are for folders of predictions"),
     ):
         assert_one_line(eldata("evaluate", *arguments, *tree.arguments), words)
+        assert not (tmp_path / "results").exists()

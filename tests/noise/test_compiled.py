@@ -66,8 +66,7 @@ def gradient(shape: tuple[int, int, int, int], top: float = 60.0) -> NDArray[np.
 def test_poisson_counts_fit_scipy(mean: float) -> None:
     """Chi-square over 2^22 draws."""
     mean = float(np.float32(mean))
-    counts = noisy(flat(mean, (4, 4, 512, 512)), "P*", key=int(1000 * mean) + 7).ravel()
-    assert counts.size == 1 << 22
+    counts = noisy(flat(mean, (4, 4, 512, 512)), "P*", key=int(1000 * mean) + 7).astype(np.float64).ravel()
     if mean == 0:
         assert not counts.any()
     else:

@@ -112,7 +112,8 @@ def test_the_dtype_stays(dtype: torch.dtype) -> None:
         np.testing.assert_array_equal(array, wanted.numpy())
 
 
-def test_the_layout_in_memory_changes_nothing() -> None:
+def test_neither_the_layout_nor_who_tells_the_range_changes_anything() -> None:
+    same_bits(noisy(FLAT, range_dn=None, parameters=replace(PARAMETERS, range_dn=RANGE_DN)), noisy(FLAT))
     clean = np.random.default_rng(1).random((2, 4, 16, 12), dtype=np.float32)
     wanted = noisy(clean)
     same_bits(noisy(np.asfortranarray(clean)), wanted)

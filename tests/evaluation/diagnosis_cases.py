@@ -127,9 +127,7 @@ def photograph(name: str, scene: int, iso: int, ratio: int, seed: int, height: i
     return Photograph(f"{name}/scene-{scene}/{iso}-{ratio}", camera, ratio, iso, noisy, clean)
 
 
-@cache
-def _radiance(scene: int, height: int, width: int) -> NDArray[np.float32]:
-    return scene_radiance(scene, height, width)
+_radiance = cache(scene_radiance)
 
 
 def _exposed(camera: SimulatedCamera, electrons: Array, iso: int, generator: np.random.Generator) -> NDArray[np.uint16]:
@@ -151,17 +149,13 @@ def _gaussian(sigma: float) -> Callable[[Array], Array]:
     return _planes(lambda plane: ndimage.gaussian_filter(plane, sigma))
 
 
-def _noise_of(plane: Array) -> float:
-    """From the differences of neighbours."""
-    return float(np.median(np.abs(np.diff(plane, axis=1))) / 0.954) + 1e-4
-
-
 def _moved(plane: Array) -> Array:
     return np.asarray(ndimage.shift(ndimage.gaussian_filter(plane, 1.0), 0.3, order=1, mode="nearest"))
 
 
 def _total_variation(plane: Array) -> Array:
-    found = denoise_tv_chambolle(plane, weight=1.5 * _noise_of(plane))  # type: ignore[no-untyped-call] # scikit-image's
+    noise = float(np.median(np.abs(np.diff(plane, axis=1))) / 0.954) + 1e-4  # from the differences of neighbours
+    found = denoise_tv_chambolle(plane, weight=1.5 * noise)  # type: ignore[no-untyped-call] # scikit-image's
     return np.asarray(found)
 
 
@@ -240,14 +234,14 @@ def _reordered(*order: int) -> Making:
     return _alone(lambda p: p[list(order)])
 
 
-def _shifted(down: int, right: int) -> Making:
-    return _alone(lambda p: np.roll(p, (down, right), (1, 2)))
+def _shifted(by: tuple[int, int]) -> Making:
+    return _alone(lambda p: np.roll(p, by, (1, 2)))
 
 
-def _in_mosaic(change: Callable[[Array], Array]) -> Making:
+def _shifted_in_mosaic(by: tuple[int, int]) -> Making:
     def make(p: Array, shot: Photograph, _protocol: Protocol) -> Array:
         cfa = XTRANS_CFA if shot.camera.name == XTRANS else shot.camera.sensor.cfa
-        return pack(np.ascontiguousarray(change(unpack(np.ascontiguousarray(p), cfa))), cfa)
+        return pack(np.ascontiguousarray(np.roll(unpack(np.ascontiguousarray(p), cfa), by, (0, 1))), cfa)
 
     return make
 
@@ -295,20 +289,10 @@ OF_XTRANS: dict[str, tuple[Making, str]] = {
     )
 }
 OF_PLACE: dict[str, tuple[Making, str]] = {
-    "shifted by (1, 0)": (_shifted(1, 0), f"as if shifted by (1, 0) {_PIXELS}"),
-    "shifted by (0, -1)": (_shifted(0, -1), f"as if shifted by (0, -1) {_PIXELS}"),
-    "shifted by (2, 1)": (_shifted(2, 1), f"as if shifted by (2, 1) {_PIXELS}"),
-    "shifted by (-2, 2)": (_shifted(-2, 2), f"as if shifted by (-2, 2) {_PIXELS}"),
+    f"shifted by {by}": (_shifted(by), f"as if shifted by {by} {_PIXELS}") for by in ((1, 0), (0, -1), (2, 1), (-2, 2))
 }
 OF_MOSAIC: dict[str, tuple[Making, str]] = {
-    "mosaic shifted by (1, 0)": (
-        _in_mosaic(lambda mosaic: np.roll(mosaic, (1, 0), (0, 1))),
-        f"as if shifted by (1, 0) {_MOSAIC}",
-    ),
-    "mosaic shifted by (-1, 1)": (
-        _in_mosaic(lambda mosaic: np.roll(mosaic, (-1, 1), (0, 1))),
-        f"as if shifted by (-1, 1) {_MOSAIC}",
-    ),
+    f"mosaic shifted by {by}": (_shifted_in_mosaic(by), f"as if shifted by {by} {_MOSAIC}") for by in ((1, 0), (-1, 1))
 }
 OF_LEVELS: dict[str, tuple[Making, str]] = {
     "black not subtracted": (_in_dn(lambda dn, _black, white, _other: dn / white), "as if black were not subtracted"),

@@ -70,9 +70,9 @@ NPY: dict[str, bytes] = {
 }
 
 
-def member(path: Path, content: bytes, method: int = zipfile.ZIP_DEFLATED, name: str = "prediction.npy") -> None:
+def member(path: Path, content: bytes, method: int = zipfile.ZIP_DEFLATED) -> None:
     with zipfile.ZipFile(path, "w", method) as archive:
-        archive.writestr(name, content)
+        archive.writestr("prediction.npy", content)
 
 
 def endless_member(path: Path, header: bytes) -> None:
@@ -108,10 +108,9 @@ def h5(write: Callable[[h5py.File], None]) -> Callable[[Path], None]:
     return save
 
 
-def chunked(file: h5py.File, content: bytes, mask: int = 0, **options: Any) -> None:
+def chunked(file: h5py.File, content: bytes, mask: int = 0) -> None:
     """One chunk that is the whole array, with these bytes."""
-    options = {"compression": "gzip"} | options
-    dataset = file.create_dataset("prediction", PACKED, "<f4", chunks=PACKED, **options)
+    dataset = file.create_dataset("prediction", PACKED, "<f4", chunks=PACKED, compression="gzip")
     dataset.id.write_direct_chunk((0, 0, 0), content, filter_mask=mask)
 
 
@@ -167,7 +166,6 @@ def thousands_of_items(file: h5py.File) -> None:
         file.create_group(f"{number:04d}")
 
 
-RECORDS = np.dtype([("a", "<f4")])
 H5: dict[str, Callable[[Path], None]] = {
     "fill-values-of-gigabytes": h5(lambda file: file.create_dataset("x", (4, 30_000, 30_000), "<f4", chunks=True)),
     "right-shape-never-written": h5(lambda file: file.create_dataset("x", PACKED, "<f4")),
@@ -175,7 +173,7 @@ H5: dict[str, Callable[[Path], None]] = {
     "external-link": external_link,
     "external-storage": external_storage,
     "virtual": virtual,
-    "records": h5(lambda file: file.create_dataset("x", PACKED, RECORDS)),
+    "records": h5(lambda file: file.create_dataset("x", PACKED, np.dtype([("a", "<f4")]))),
     "texts": h5(lambda file: file.create_dataset("x", PACKED, h5py.string_dtype())),
     "chunk-of-gigabytes": h5(
         lambda file: file.create_dataset("x", PACKED, "<f4", chunks=(4, 16_000, 16_000), maxshape=(None,) * 3)
@@ -223,9 +221,9 @@ def tiff(path: Path, array: Any, **options: Any) -> None:
     tifffile.imwrite(path, array, photometric="minisblack", **options)
 
 
-def with_tags(path: Path, changes: dict[int, tuple[int, int, int]], array: Any = None) -> None:
+def with_tags(path: Path, changes: dict[int, tuple[int, int, int]], **options: Any) -> None:
     """A good file of one page, some of whose tags are another type, number and value."""
-    tiff(path, grey() if array is None else array, metadata=None, rowsperstrip=HEIGHT)
+    tiff(path, grey(), metadata=None, **{"rowsperstrip": HEIGHT} | options)
     content = bytearray(path.read_bytes())
     (at,) = struct.unpack_from("<I", content, 4)
     (count,) = struct.unpack_from("<H", content, at)
@@ -275,23 +273,13 @@ TIFF: dict[str, Callable[[Path], None]] = {
     "strips-missing": sparse,
     "strip-beyond-the-end": lambda path: with_tags(path, {273: (4, 1, 100_000)}),
     "strip-of-gigabytes": lambda path: with_tags(path, {279: (4, 1, 0xFFFFFFFF)}),
-    "tiles-of-gigabytes": lambda path: huge_tiles(path),  # noqa: PLW0108 # defined below
+    "tiles-of-gigabytes": lambda path: with_tags(
+        path, {322: (4, 1, 65_536), 323: (4, 1, 65_536)}, rowsperstrip=None, tile=(64, 64), compression="zlib"
+    ),
     "compression-of-tomorrow": lambda path: with_tags(path, {259: (3, 1, 60_000)}),
     "no-pages": content(b"II*\0\0\0\0\0" + bytes(100)),
     "first-page-beyond-the-end": content(b"II*\0\xff\xff\xff\xff" + bytes(100)),
 }
-
-
-def huge_tiles(path: Path) -> None:
-    tifffile.imwrite(path, grey(), tile=(64, 64), compression="zlib", photometric="minisblack", metadata=None)
-    content = bytearray(path.read_bytes())
-    with tifffile.TiffFile(path) as file:
-        at = file.pages[0].offset
-    (count,) = struct.unpack_from("<H", content, at)
-    for entry in range(at + 2, at + 2 + 12 * count, 12):
-        if struct.unpack_from("<H", content, entry)[0] in (322, 323):
-            struct.pack_into("<HII", content, entry + 2, 4, 1, 65_536)
-    path.write_bytes(content)
 
 
 # --- what is not a file -------------------------------------------------------------------------------------------
@@ -303,18 +291,14 @@ SPECIAL: dict[str, Callable[[Path], None]] = {
     "folder": lambda path: path.mkdir(),
     "link-to-nothing": lambda path: path.symlink_to("nothing"),
 }
-EXTENSIONS = ("npy", "npz", "h5", "tif", "png", "dng")
 
 
 def write_all(folder: Path) -> list[str]:
     """Write every file; return their names."""
-    every: Any = (("npy", NPY), ("png", PNG), ("npz", NPZ), ("h5", H5), ("tif", TIFF))
-    for extension, kinds in every:
-        for name, made in kinds.items():
+    every: dict[str, Any] = {"npy": NPY, "png": PNG, "npz": NPZ, "h5": H5, "tif": TIFF, "dng": {}}
+    for extension, kinds in every.items():
+        for name, made in (kinds | SPECIAL).items():
             write = content(made) if isinstance(made, bytes) else made
-            write(folder / f"{name}.{extension}")
-    for extension in EXTENSIONS:
-        for name, write in SPECIAL.items():
             write(folder / f"{name}.{extension}")
     return sorted(path.name for path in folder.iterdir() if path.name != "elsewhere")
 

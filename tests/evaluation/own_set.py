@@ -33,16 +33,9 @@ WHITE_BALANCE = (2.1, 1.0, 1.6, 1.0)
 MATRIX = ((0.7, -0.2, -0.05), (-0.4, 1.2, 0.2), (-0.05, 0.15, 0.6))
 
 
-def sensor_of(
-    size: tuple[int, int],
-    *,
-    make: str = "Maker",
-    model: str = "Mine 1",
-    cfa: Cfa = GBRG,
-    black: tuple[float, ...] = BLACK,
-) -> Sensor:
+def sensor_of(size: tuple[int, int], *, cfa: Cfa = GBRG, black: tuple[float, ...] = BLACK) -> Sensor:
     """Black levels of its own, a white level that is no published one."""
-    return Sensor(make, model, cfa, black, WHITE, *size, WHITE_BALANCE, MATRIX)
+    return Sensor("Maker", "Mine 1", cfa, black, WHITE, *size, WHITE_BALANCE, MATRIX)
 
 
 def mosaic_of(path: str, size: tuple[int, int], *, bright: bool) -> NDArray[np.uint16]:
@@ -119,18 +112,8 @@ def build_own_set(
             (root / "MINE" / path).parent.mkdir(parents=True, exist_ok=True)
             exposure = Exposure(iso, exposure_s, Fraction(8))
             write_dng(root / "MINE" / path, mosaic_of(path, size, bright=clean), sensor, exposure)
-            records.append(
-                FrameRecord(
-                    path,
-                    role,
-                    "Mine",
-                    scene=scene,
-                    iso=iso,
-                    exposure_s=exposure_s,
-                    ratio=ratio,
-                    reference=None if clean else reference,
-                )
-            )
+            record = FrameRecord(path, role, "Mine", scene=scene, iso=iso, exposure_s=exposure_s, ratio=ratio)
+            records.append(record if clean else replace(record, reference=reference))
     card = demo_card("mine", "A set of one's own", "MINE", {"Mine": sensor}, records, "simulated")
     card = replace(card, protocol=OWN_PROTOCOL, cfa=cfa_word([packing_sites(cfa).name]))
     save_card(folder / "mine.json", card)

@@ -30,11 +30,9 @@ def save_fortran(path: Path, array: NDArray[Any]) -> None:
     save_npy(path, np.asfortranarray(array))
 
 
-def with_header(header: str) -> Writer:
-    def save(path: Path, array: NDArray[Any]) -> None:
-        path.write_bytes(hostile.npy(header, array.tobytes()))
-
-    return save
+def save_of_python_2(path: Path, array: NDArray[Any]) -> None:
+    header = "{'descr': '<f4', 'fortran_order': False, 'shape': (4L, 32L, 48L), }"
+    path.write_bytes(hostile.npy(header, array.tobytes()))
 
 
 def pillow(**options: Any) -> Writer:
@@ -123,16 +121,11 @@ FILES: dict[str, tuple[str, Writer]] = {
     "16-bit.png": ("<u2", save_png),
 }
 OF_PACKED: dict[str, tuple[str, Writer]] = {
-    "of-python-2.npy": ("<f4", with_header("{'descr': '<f4', 'fortran_order': False, 'shape': (4L, 32L, 48L), }")),
+    "of-python-2.npy": ("<f4", save_of_python_2),
     "chunks.h5": ("<f4", h5(chunks=(4, 10, 10), maxshape=(None, None, None))),
     "chunks-beyond-its-sides.h5": ("<f4", h5(chunks=(5, 40, 50), maxshape=(None, None, None), compression="gzip")),
     "planes.tif": ("<f4", tif(photometric="rgb", planarconfig="separate")),
 }
-AWKWARD = (
-    *("float16.npy", "float32.npy", "float64.npy", "uint16.npy", "fortran.npy", "big-endian-float64.npy"),
-    *("big-endian-fortran.npy", "deflated.npz", "big-endian-deflated.npz", "one-chunk-gzip-shuffle-checksum.h5"),
-    *("lzf.h5", "one-chunk-lzf.h5", "big-endian.h5", "one-strip.tif", "tiles.tif", "big-endian.tif", "16-bit.png"),
-)
 
 
 def quantised(values: NDArray[np.floating[Any]], kind: str) -> tuple[NDArray[Any], NDArray[np.float64]]:

@@ -36,15 +36,13 @@ if TYPE_CHECKING:
 
 # --- mistakes and honest predictions, in memory -------------------------------------------------------------------
 
-QUICK = (("BGGR", "eld", "sliding DCT"), ("RGGB", "sid2018", "sliding DCT"))
 
-
-@in_one_test("camera, protocol, denoiser", QUICK)
-def test_mistakes_are_named(camera: str, protocol: str, denoiser: str) -> None:
+@in_one_test("camera, protocol", [("BGGR", "eld"), ("RGGB", "sid2018")])
+def test_mistakes_are_named(camera: str, protocol: str) -> None:
     """Each one that costs a decibel."""
     unnamed = []
     for mistake in cases.mistakes_of(camera, PROTOCOLS[protocol]):
-        found = cases.planted(camera, 0, protocol, denoiser, mistake)
+        found = cases.planted(camera, 0, protocol, "sliding DCT", mistake)
         if not found.named and found.cost_db >= 1:
             unnamed.append((mistake, round(found.cost_db, 1), [str(one) for one in found.said]))
     assert unnamed == []
@@ -176,23 +174,20 @@ def inspection(camera: str, ratio: float, words: str | None) -> Inspection:
         ("p.. .p. q.. ..q", []),
         ("pqr pqr pqr pqr", []),
         ("... ... ... ...", []),
+        ("p", ["p  1/1"]),  # one frame is enough where there is one
+        ("p .", []),
+        ("", []),
     ],
 )
 def test_most_have_to_show_the_same(words: str, expected: list[str]) -> None:
     inspections = [
         inspection(camera, ratio, None if letter == "." else letter)
-        for (camera, ratio), letters in zip(itertools.product("AB", (100.0, 200.0)), words.split(), strict=True)
+        for (camera, ratio), letters in zip(itertools.product("AB", (100.0, 200.0)), words.split(), strict=False)
         for letter in letters
     ]
     found = find_suspicions(inspections)
     assert [f"{one.words} {one.where} {one.shown}/{one.looked}" for one in found] == expected
     assert all((one.psnr_db, one.without_db) == (20.0, 30.0) for one in found)
-
-
-def test_one_frame_is_enough_where_there_is_one() -> None:
-    assert [one.words for one in find_suspicions([inspection("A", 100, "p")])] == ["p"]
-    assert find_suspicions([inspection("A", 100, "p"), inspection("A", 200, None)]) == ()
-    assert find_suspicions([]) == ()
 
 
 def test_in_words() -> None:

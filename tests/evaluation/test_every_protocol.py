@@ -205,14 +205,10 @@ def assert_published(pairs: Pairs, protocol: str, routes: dict[str, Route] = pub
 ELD_CAMERAS = ["SonyA7S2", "NikonD850"]
 
 
-def every_eld(record: FrameRecord) -> bool:
-    return record.camera in ELD_CAMERAS and record.ratio in (100, 200)
-
-
 def some_eld(record: FrameRecord) -> bool:
     """A frame of each factor of each scene, at one ISO and the next in turn."""
     number, turn = int(record.path[-8:-4]), int((record.scene or "").removeprefix("scene-"))
-    return every_eld(record) and number in (4 + 5 * (turn % 3), 5 + 5 * ((turn + 1) % 3))
+    return record.camera in ELD_CAMERAS and number in (4 + 5 * (turn % 3), 5 + 5 * ((turn + 1) % 3))
 
 
 @pytest.fixture(scope="module")
@@ -317,14 +313,16 @@ def test_frames_that_are_too_small_for_a_region(sid: Pairs) -> None:
 XTRANS_SIZES = ((48, 66), (50, 63), (54, 60), (53, 71))  # some do not fill whole periods: packing crops
 
 
-def some_fuji(record: FrameRecord) -> bool:
-    return every_sid(record) and record.scene in FUJI_SCENES
-
-
 @pytest.fixture(scope="module")
 def fuji(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
+    folder = tmp_path_factory.mktemp("fuji")
     return build(
-        "sid-fuji", tmp_path_factory.mktemp("fuji"), some_fuji, sensor=fuji_at, sizes=XTRANS_SIZES, drift_dn=(0.0,) * 3
+        "sid-fuji",
+        folder,
+        lambda record: every_sid(record) and record.scene in FUJI_SCENES,
+        sensor=fuji_at,
+        sizes=XTRANS_SIZES,
+        drift_dn=(0.0,) * 3,
     )
 
 
@@ -342,13 +340,10 @@ def lrd_at(number: int, camera: str, size: tuple[int, int]) -> Sensor:
     return Sensor("Maker", "Drone", BAYER["RGGB"], (1024.0,) * 4, 65535.0, *size, WHITE_BALANCE, MATRIX)
 
 
-def build_lrd(folder: Path, sensor: Callable[[int, str, tuple[int, int]], Sensor] = lrd_at) -> Pairs:
-    scenes = [f"00{number}" for number in range(541, 549)]
-    return build("lrd", folder, lambda record: record.scene in scenes, sensor=sensor, drift_dn=(0.0,) * 4)
-
-
 def test_lrd_on_its_own_set(tmp_path: Path) -> None:
-    assert len(assert_published(build_lrd(tmp_path), "lrd-lrd").units) == 8
+    scenes = [f"00{number}" for number in range(541, 549)]
+    lrd = build("lrd", tmp_path, lambda record: record.scene in scenes, sensor=lrd_at, drift_dn=(0.0,) * 4)
+    assert len(assert_published(lrd, "lrd-lrd").units) == 8
 
 
 # --- every colour filter array, in a set of one's own -----------------------------------------------------------------
@@ -442,38 +437,27 @@ def test_predictions_in_srgb_of_the_centre(large: Pairs, tmp_path: Path) -> None
         assert result.scored == 4
 
 
-def save_renderings(pairs: Pairs, folder: Path) -> dict[str, NDArray[np.uint8]]:
-    """Save a rendering of each pair that is scored."""
+def test_renderings_in_each_phase(sid: Pairs, tmp_path: Path) -> None:
     codes = {}
-    for pair in scored_pairs("", "sid2018", manifest=pairs.csv, root=pairs.root):
-        clean = published_code.sid_reference(pairs.files / pair.reference).astype(np.float64)
+    for pair in scored_pairs("", "sid2018", manifest=sid.csv, root=sid.root):
+        clean = published_code.sid_reference(sid.files / pair.reference).astype(np.float64)
         noise = np.random.default_rng(zlib.crc32(pair.path.encode())).normal(0, 6, clean.shape)
         codes[pair.path] = np.rint(np.clip(0.95 * clean + noise, 0, 255)).astype(np.uint8)
-        target = (folder / pair.path).with_suffix(".png")
+        target = (tmp_path / pair.path).with_suffix(".png")
         target.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(codes[pair.path]).save(target)
-    return codes
-
-
-def assert_published_renderings(pairs: Pairs, folder: Path, codes: dict[str, NDArray[np.uint8]]) -> None:
-    result = evaluate(folder, manifest=pairs.csv, root=pairs.root, protocol="sid2018")
-    assert_equal(result, lambda pair: published_code.sid_score(codes[pair.path], pairs.files / pair.reference))
-
-
-def test_renderings_in_each_phase(sid: Pairs, tmp_path: Path) -> None:
-    codes = save_renderings(sid, tmp_path)
     assert len(codes) == 14
-    assert_published_renderings(sid, tmp_path, codes)
+    result = evaluate(tmp_path, manifest=sid.csv, root=sid.root, protocol="sid2018")
+    assert_equal(result, lambda pair: published_code.sid_score(codes[pair.path], sid.files / pair.reference))
 
 
 # --- where the package differs from the code --------------------------------------------------------------------------
 
 
-def fractional_at(number: int, camera: str, size: tuple[int, int]) -> Sensor:
-    return replace(sensor_at(number, camera, size), black_level_dn=(509.0, 515.5, 600.0, 2047.0))
-
-
 def test_protocols_with_a_black_level_of_their_own_do_not_mind_the_files(tmp_path: Path) -> None:
+    def fractional_at(*place: Any) -> Sensor:
+        return replace(sensor_at(*place), black_level_dn=(509.0, 515.5, 600.0, 2047.0))
+
     assert_published(build("eld", tmp_path, some_eld, sensor=fractional_at), "pmn-eld")
 
 

@@ -219,21 +219,12 @@ def problems_of(*groups: tuple[int, str]) -> list[EvaluationProblem]:
 
 
 def test_problems_alike_stand_together_and_none_is_uncounted() -> None:
+    """Of very many reasons twenty lines are shown; a name that steers the terminal, by its numbers."""
+    some = ", ".join(f"a/scene-0/00{number}.dng" for number in range(6))
     lines = problem_lines(problems_of((1, "b"), (14, "a")))
-    assert lines == [
-        "b/scene-0/000.dng: b",
-        "14 alike: a",
-        f"  {', '.join(f'a/scene-0/00{number}.dng' for number in range(6))} and 8 more",
-    ]
-
-
-def test_of_very_many_reasons_twenty_lines_are_shown() -> None:
+    assert lines == ["b/scene-0/000.dng: b", "14 alike: a", f"  {some} and 8 more"]
     lines = problem_lines(problems_of((4, "a"), *((1, f"b{number}") for number in range(30))))
-    assert len(lines) == 21
-    assert lines[20] == "... and 12 more (--json FILE lists all)"
-
-
-def test_a_name_that_steers_the_terminal_is_shown_by_its_numbers() -> None:
+    assert (len(lines), lines[20]) == (21, "... and 12 more (--json FILE lists all)")
     assert problem_lines([EvaluationProblem("a\x1b[2J\n.npy", "is\todd")]) == ["a\\x1b[2J\\n.npy: is\\todd"]
 
 

@@ -84,8 +84,7 @@ def flat(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
 def test_names_that_share_a_score(flat: OwnSet) -> None:
     """``sid`` takes the files' black level, ``pmn-sid`` 512, and these files say 512."""
     sid, pmn = (evaluate(flat.predictions, **flat.where, protocol=name) for name in ("sid", "pmn-sid"))
-    assert sid.scored == 4
-    assert sid.scores == pmn.scores
+    assert (sid.scored, sid.scores) == (4, pmn.scores)
     assert sid.scored_unlike(pmn) == []
     assert pmn.provenance["equal_choices"] == {"levels": ["published", "sid-sony"]}
     assert not any("was taken for every file" in note for note in pmn.notes)
@@ -229,7 +228,8 @@ def spoil_pixels(path: Path) -> None:
     path.write_bytes(content.replace(row, bytes(len(row))))
 
 
-def test_a_reference_that_cannot_be_decoded_is_the_problem_of_its_pairs(tmp_path: Path) -> None:
+def test_a_frame_that_cannot_be_decoded_is_the_problem_of_its_pairs(tmp_path: Path) -> None:
+    """A reference, and then a noisy frame."""
     own = build_own_set(tmp_path, scenes=2)
     predict(own, tmp_path / "p", 0.02)
     spoil_pixels(own.files / "s0/clean.dng")
@@ -240,14 +240,10 @@ def test_a_reference_that_cannot_be_decoded_is_the_problem_of_its_pairs(tmp_path
     rest = evaluate(tmp_path / "p", **own.where, allow_missing=True)
     assert [image.scene for image in rest.scores] == ["s1", "s1"]
     assert rest.problems == found.problems
-
-
-def test_a_noisy_frame_that_cannot_be_decoded_is_the_problem_of_its_pair(tmp_path: Path) -> None:
-    own = build_own_set(tmp_path)
-    spoil_pixels(own.files / "s0/x50.dng")
+    spoil_pixels(own.files / "s1/x50.dng")
     found = evaluate(None, **own.where, baseline="input", allow_missing=True)
-    assert [problem.path for problem in found.problems] == [str(own.files / "s0/x50.dng")]
-    assert [image.ratio for image in found.scores] == [100]
+    assert [problem.path for problem in found.problems[-1:]] == [str(own.files / "s1/x50.dng")]
+    assert [image.path for image in found.scores] == ["s1/x100.dng"]
 
 
 # --- errors of our own ------------------------------------------------------------------------------------------------

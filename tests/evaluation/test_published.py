@@ -18,27 +18,23 @@ def row(camera: str | None, ratio: float | None, pairs: int, psnr_db: float, ssi
     return TableRow(camera, ratio, pairs, pairs, {"psnr_db": psnr_db, "ssim": ssim})
 
 
-def provenance(dataset: str, protocol: str, subset: str | None, **more: Any) -> dict[str, Any]:
-    return {
-        "dataset": dataset,
-        "cameras": "all",
-        "subset": subset,
-        "excluded_flags": {},
-        "protocol_digest": PROTOCOLS[protocol].digest,
-        "manifest_sha256": "sha256:" + "a" * 64,
-        "eldata": "0.2.0",
-        "scenes_shared": True,
-        **more,
-    }
-
-
 def result_on(
     dataset: str, protocol: str, table: list[TableRow], subset: str | None = None, **more: Any
 ) -> EvaluationResult:
     """A result that was read back, without its scores."""
     rules = StatedProtocol(PROTOCOLS[protocol].kind, PROTOCOLS[protocol].as_dict())
-    stated = provenance(dataset, protocol, subset, **more)
-    return EvaluationResult(rules, stated, (), tuple(table), table[-1].pairs, (), (), ())
+    provenance = {
+        "dataset": dataset,
+        "cameras": "all",
+        "subset": subset,
+        "excluded_flags": {},
+        "protocol_digest": rules.digest,
+        "manifest_sha256": "sha256:" + "a" * 64,
+        "eldata": "0.2.0",
+        "scenes_shared": True,
+        **more,
+    }
+    return EvaluationResult(rules, provenance, (), tuple(table), table[-1].pairs, (), (), ())
 
 
 SONY_ELD = [row("SonyA7S2", 100.0, 30, 46.0, 0.98), row("SonyA7S2", 200.0, 30, 43.0, 0.95)]

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import rawpy
 import torch
-from PIL import Image
 
 from eldata.baselines import load_network
 from eldata.baselines.predicting import write_predictions
@@ -70,25 +69,21 @@ def score_of(own: OwnSet, pair: PairRecord, output: NDArray[Any]) -> published_c
     return published_code.eld_rgb_score(output, packed(reference), reference)
 
 
-@pytest.mark.parametrize("form", ["npy", "png8"])
-def test_predictions_of_three_channels(form: str, own: OwnSet, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def given(own: OwnSet) -> dict[str, NDArray[np.float32]]:
+    """A prediction of each pair, which lies in the folder of the set's."""
+    paths = [path.relative_to(own.files).as_posix() for path in own.files.rglob("x*.dng")]
+    images = {path: shown(own, f"{path[:2]}/clean.dng", path) for path in paths}
+    for path, image in images.items():
+        save_prediction(own.predictions, path, image)
+    return images
+
+
+def test_predictions_of_three_channels(own: OwnSet, given: dict[str, NDArray[np.float32]]) -> None:
     """Other forms come to the same arrays (``test_predictions``)."""
-    given = {}
-    for scene in ("s0", "s1"):
-        for ratio in (50, 100):
-            path = f"{scene}/x{ratio}.dng"
-            image = shown(own, f"{scene}/clean.dng", path)
-            file = (tmp_path / path).with_suffix(f".{form[:3]}")
-            file.parent.mkdir(exist_ok=True)
-            if form == "png8":
-                codes = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
-                image = codes.astype(np.float32) / np.float32(255)
-                Image.fromarray(codes.transpose(1, 2, 0)).save(file)
-            else:
-                np.save(file, image)
-            given[path] = image
     for name in WAYS:
-        assert_equal(evaluate(tmp_path, **own.where, protocol=name), lambda pair: score_of(own, pair, given[pair.path]))
+        result = evaluate(own.predictions, **own.where, protocol=name)
+        assert_equal(result, lambda pair: score_of(own, pair, given[pair.path]))
 
 
 @pytest.mark.parametrize("name", WAYS)
@@ -145,49 +140,33 @@ def test_networks_to_srgb_are_run_and_scored(own: OwnSet, tmp_path: Path, capsys
 
 def test_a_network_of_other_channels_is_refused(own: OwnSet, tmp_path: Path) -> None:
     for network, protocol, expected in ((Green, "eld", "(4, 30, 42)"), (Same, "eld-raw2rgb", "(3, 30, 42)")):
-        report = write_predictions(
-            load_network(f"{__name__}:{network.__name__}", device="cpu"),
-            "",
-            tmp_path / protocol,
-            **own.where,
-            protocol=protocol,
-        )
+        loaded = load_network(f"{__name__}:{network.__name__}", device="cpu")
+        report = write_predictions(loaded, "", tmp_path / protocol, **own.where, protocol=protocol)
         assert report.written == 0
         (problem,) = report.problems
         assert f"protocol {protocol} takes {expected}" in problem
     with pytest.raises(ArgumentError, match="'sid2018' scores renderings"):
-        write_predictions(
-            load_network(f"{__name__}:Same"), "", tmp_path / "p", **own.where,
-            protocol="sid2018",
-        )  # fmt: skip
+        write_predictions(load_network(f"{__name__}:Same"), "", tmp_path / "p", **own.where, protocol="sid2018")
 
 
 # --- response curves --------------------------------------------------------------------------------------------------
 
 GRID = np.linspace(0, 1, 33)
 COLOURS = np.stack([GRID**power for power in (0.45, 0.5, 0.6)])
+# What a protocol of one's own may say of its curve, and that curve step by step.
+RESPONSES: dict[str, published_code.Response] = {
+    '"gamma-1.8"': lambda linear: np.maximum(linear, 1e-8) ** (1 / 1.8),
+    '{table = "mine.txt"}': published_code.eld_curve(GRID, COLOURS),
+}
 
 
-def numbers(values: NDArray[Any]) -> str:
-    return " ".join(repr(float(value)) for value in values)
-
-
-def written_responses(folder: Path) -> dict[str, published_code.Response]:
-    """What a protocol of one's own may say of its curve, and that curve step by step."""
-    table = np.column_stack([GRID, *COLOURS])
-    (folder / "mine.txt").write_text("\n".join(map(numbers, table)), encoding="utf-8")
-    return {
-        '"gamma-1.8"': lambda linear: np.maximum(linear, 1e-8) ** (1 / 1.8),
-        '{table = "mine.txt"}': published_code.eld_curve(GRID, COLOURS),
-    }
-
-
-def test_a_protocol_states_its_response_curve(own: OwnSet, tmp_path: Path) -> None:
+def test_a_protocol_states_its_response_curve(
+    own: OwnSet, given: dict[str, NDArray[np.float32]], tmp_path: Path
+) -> None:
     """Of predictions in sRGB, of rendered raw ones and of the input; the digest is of the curve, not of its file."""
     digests = []
-    for path in ("s0/x50.dng", "s0/x100.dng", "s1/x50.dng", "s1/x100.dng"):
-        save_prediction(tmp_path / "rgb", path, shown(own, f"{path[:2]}/clean.dng", path))
-    for number, (stated, response) in enumerate(written_responses(tmp_path).items()):
+    np.savetxt(tmp_path / "mine.txt", np.column_stack([GRID, *COLOURS]))
+    for number, (stated, response) in enumerate(RESPONSES.items()):
         for base in ("eld-rgb2rgb", "eld-srgb"):
             file = tmp_path / f"{base}-{number}.toml"
             text = f'base = "{base}"\nname = "{base}-mine"\ntitle = "x"\nresponse = {stated}\n'
@@ -197,7 +176,7 @@ def test_a_protocol_states_its_response_curve(own: OwnSet, tmp_path: Path) -> No
             results = [(result, False)]
             if base == "eld-rgb2rgb":
                 digests.append(result.protocol.digest)
-                results.append((evaluate(tmp_path / "rgb", **place), True))
+                results.append((evaluate(own.predictions, **place), True))
             for scored, is_of_files in results:
                 for pair, image in zip(scored.units, scored.scores, strict=True):
                     noisy, reference = own.files / pair.path, own.files / str(pair.reference)
@@ -207,7 +186,7 @@ def test_a_protocol_states_its_response_curve(own: OwnSet, tmp_path: Path) -> No
                         score = published_code.eld_rgb_score
                         output = published_code.eld_rendered(output, noisy, response)
                     if is_of_files:
-                        output = shown(own, str(pair.reference), pair.path)
+                        output = given[pair.path]
                     wanted = score(output, packed(reference), reference, response)
                     found = (image.psnr_db, image.ssim)
                     assert found == pytest.approx((wanted.psnr_db, wanted.ssim), abs=1e-6, rel=0), (base, stated)

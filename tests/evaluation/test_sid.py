@@ -159,7 +159,6 @@ def test_up_to_twelve_factors_are_groups() -> None:
 # --- LRID under PMN's protocol: its published arithmetic, its class, its dark frames ----------------------------------
 
 
-ROUTE = BAYER["pmn-lrid"]
 COUNTS = {"indoor-first": 45, "outdoor-first": 18}
 
 
@@ -198,7 +197,7 @@ def test_predictions_have_the_scores_of_the_published_arithmetic(lrid: Path) -> 
     result = evaluate(lrid / "preds", "lrid", root=lrid)
     assert result.protocol.name == "pmn-lrid"
     assert len(result.scores) == COUNTS["indoor-first"], "the first subset is that of --mode eval"
-    assert_equal(result, lambda pair: ROUTE.of_prediction(mosaics[pair.path], files / pair.reference))
+    assert_equal(result, lambda pair: BAYER["pmn-lrid"].of_prediction(mosaics[pair.path], files / pair.reference))
     assert not any("taken for every file" in note for note in result.notes), "the card's levels are those"
 
 

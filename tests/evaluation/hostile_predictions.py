@@ -180,6 +180,7 @@ H5: dict[str, Callable[[Path], None]] = {
     ),
     "chunk-that-ends-early": h5(lambda file: chunked(file, zlib.compress(good().tobytes())[:2000])),
     "chunk-too-small": h5(lambda file: chunked(file, bytes(100), mask=1)),
+    "chunk-too-small-unpacked": h5(lambda file: chunked(file, zlib.compress(bytes(100)))),
     "checksum": h5(damaged_checksum),
     "thousands-of-items": h5(thousands_of_items),
 }

@@ -39,21 +39,17 @@ def corner_leak(peak_dn: float) -> Fault:
     return fault
 
 
-def _by_site(frames: Frames, camera: Camera, filtered: Callable[..., NDArray[np.float64]]) -> Frames:
-    """Filter each site of the CFA's period by itself (X-Trans: pixels six apart)."""
-    results, period = [frame.copy() for frame in frames], len(camera.cfa)
-    for result in results:
-        for row, column in np.ndindex(period, period):
-            result[row::period, column::period] = filtered(result[row::period, column::period])
-    return results
-
-
 def blurred(share: float) -> Fault:
-    """Each pixel gives this share of its value to its four neighbours of the same colour, and gets theirs."""
+    """Each pixel gives this share of its value to its four neighbours of the same site, and gets theirs."""
     weights = np.array([[0, share / 4, 0], [share / 4, 1 - share, share / 4], [0, share / 4, 0]])
 
     def fault(frames: Frames, camera: Camera, _: np.random.Generator) -> Frames:
-        return _by_site(frames, camera, lambda site: ndimage.convolve(site, weights, mode="nearest"))
+        results, period = [frame.copy() for frame in frames], len(camera.cfa)
+        for result in results:
+            for row, column in np.ndindex(period, period):
+                site = result[row::period, column::period]
+                site[...] = ndimage.convolve(site, weights, mode="nearest")
+        return results
 
     return fault
 

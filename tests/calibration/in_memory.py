@@ -56,23 +56,19 @@ def record(role: Role, number: int, exposure_s: Fraction | None = None) -> Frame
     return FrameRecord(f"{role}/{number}.dng", role, "Simulated", iso=Fraction(ISO), exposure_s=exposure_s)
 
 
-def iso_frames(bias: int, pairs: int) -> IsoFrames:
-    """So many bias frames and pairs of flats, each pair of another exposure, whose frames are 0 and 1, 2 and 3, ..."""
+def measured_in_memory(
+    sensor: Sensor, bias: int, pairs: int, take: Callable[[Role, int], Mosaic], workers: Workers = IN_THIS_PROCESS
+) -> IsoGain:
+    """Measure an ISO of so many bias frames and pairs of flats, each of another exposure: 0 and 1, 2 and 3, ..."""
     flats = [record("flat", number, Fraction(1 + number // 2, 1000)) for number in range(2 * pairs)]
-    return IsoFrames(
+    frames = IsoFrames(
         iso=Fraction(ISO),
         bias=tuple(record("bias", number) for number in range(bias)),
         pairs=tuple(map(FlatPair, flats[::2], flats[1::2])),
         single=(),
         bias_exposure_s=Fraction(1, 8000),
     )
-
-
-def measured_in_memory(
-    sensor: Sensor, bias: int, pairs: int, take: Callable[[Role, int], Mosaic], workers: Workers = IN_THIS_PROCESS
-) -> IsoGain:
-    """Measure an ISO of so many frames as :func:`iso_frames` numbers them."""
-    return calibrate_iso(cast("CalibrationFrames", FramesInMemory(sensor, take)), iso_frames(bias, pairs), workers)
+    return calibrate_iso(cast("CalibrationFrames", FramesInMemory(sensor, take)), frames, workers)
 
 
 def measured_arrays(sensor: Sensor, bias: Sequence[Mosaic], pairs: Sequence[tuple[Mosaic, Mosaic]]) -> IsoGain:

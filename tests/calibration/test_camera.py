@@ -31,8 +31,6 @@ from tests.shared import there
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from eldata.calibration import Calibration, IsoCalibration
     from tests.calibration.trees import FrameTree
 
@@ -246,16 +244,6 @@ FRAMES, DRAWS = 60, 4000
 SHARED_DN, OWN_DN = 1.5, 0.75  # standard deviations over the frames: of all channels together, and of each
 
 
-def drifting(camera: Camera, frames: int) -> tuple[list[NDArray[np.uint16]], NDArray[np.float64]]:
-    """Bias frames whose channels drift, and the bias that each frame was given (frames, channels)."""
-    generator = np.random.default_rng(5)
-    body = Body(camera, generator)
-    shift = SHARED_DN * generator.standard_normal((frames, 1))
-    shift = shift + OWN_DN * generator.standard_normal((frames, len(camera.bias)))
-    made = [np.rint(body.fixed + body.noise() + one[camera.channel]) for one in shift]
-    return [np.maximum(frame, 0).astype(np.uint16) for frame in made], np.array(camera.bias) + shift
-
-
 def test_the_spread_of_the_bias_comes_back_by_sampling(tmp_path: Path) -> None:
     """59 frames (one is kept out), 4000 draws.
 
@@ -263,8 +251,12 @@ def test_the_spread_of_the_bias_comes_back_by_sampling(tmp_path: Path) -> None:
     own mean, 0.05 DN, adds a thousandth. The correlation r of two channels scatters by (1 - r^2) / sqrt(n - 1). Four of
     these errors.
     """
-    camera = Camera(shape=(264, 384))
-    frames, given = drifting(camera, FRAMES)
+    camera, generator = Camera(shape=(264, 384)), np.random.default_rng(5)
+    body = Body(camera, generator)
+    shift = SHARED_DN * generator.standard_normal((FRAMES, 1))
+    shift = shift + OWN_DN * generator.standard_normal((FRAMES, len(camera.bias)))
+    frames = [np.rint(body.fixed + body.noise() + one[camera.channel]).clip(0).astype(np.uint16) for one in shift]
+    given = np.array(camera.bias) + shift
     record = replace(calibrated_arrays(camera.sensor, frames, []), stated_gain_dn_per_e=camera.gain)
     join_isos("Simulated", [record]).profile.save(tmp_path / "p.json")
     profile = CameraProfile.load(tmp_path / "p.json")

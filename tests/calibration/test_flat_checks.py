@@ -124,17 +124,11 @@ def outcome(setting: Setting, pairs: Sequence[Pair]) -> Outcome:
     return Outcome(off, math.nan if record.gain is None else record.gain.error / setting.gain, record.findings)
 
 
-SMALL = (256, 384)
-
-
 def small(setting: Setting) -> Setting:
-    return replace(setting, shape=SMALL)
+    return replace(setting, shape=(256, 384))
 
 
-@in_one_test(
-    "white, setting",
-    [(13583, Setting()), (11000, QUIET), (15000, LOUD), (9000, Setting())],
-)
+@in_one_test("white, setting", [(13583, Setting()), (11000, QUIET), (15000, LOUD), (9000, Setting())])
 def test_saturation_below_white(white: int, setting: Setting) -> None:
     """Values pile up: K, which came out 7 to 40 % too low, is withheld."""
     found = outcome(setting, clipped(white)(small(setting), np.random.default_rng(3)))
@@ -241,7 +235,7 @@ def test_smoothed_flats_are_told_by_their_neighbours() -> None:
 @in_one_test("share, effect", [(0.035, "wider"), (0.07, "withheld"), (0.12, "withheld")])
 def test_a_line_that_is_bent(share: float, effect: str) -> None:
     """A sensor that is not linear, by so much at white: K is off by twice that; the error reaches it, or it goes."""
-    setting = Setting(levels=(0.1, 0.3, 0.5, 0.7, 0.9))
+    setting = Setting()
     found = outcome(setting, bent(share)(small(setting), np.random.default_rng(10)))
     assert [(one.check, one.effect) for one in found.findings] == [("uneven flats", effect)]
     assert found.off < -1.5 * share

@@ -45,8 +45,8 @@ def isos() -> list[IsoCalibration]:
     return [measured(iso, camera_at(iso), frames=4) for iso in ISOS]
 
 
-def test_a_step_that_is_not_stated_is_remarked(isos: list[IsoCalibration]) -> None:
-    """One mode, and the remark says what to state."""
+def test_a_step_is_remarked_until_it_is_stated(isos: list[IsoCalibration]) -> None:
+    """One mode, and the remark says what to state; modes that are stated have lines of their own."""
     found = join_isos("Two modes", isos)
     assert [one.mode.iso_range for one in found.modes] == [(200, 12800)]
     (remark,) = found.remarks
@@ -54,9 +54,6 @@ def test_a_step_that_is_not_stated_is_remarked(isos: list[IsoCalibration]) -> No
     assert "state the gain mode with --mode 3200 (modes=[3200]), or that there is none with --mode none" in remark
     assert join_isos("One mode", isos, modes=()).remarks == ()
     assert remark in join_isos("Elsewhere", isos, modes=(800,)).remarks
-
-
-def test_stated_modes_have_lines_of_their_own(isos: list[IsoCalibration]) -> None:
     found = join_isos("Two modes", isos, modes=(3200,))
     assert [one.mode.iso_range for one in found.modes] == [(200, 1600), (3200, 12800)]
     assert found.remarks == ()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,9 +13,6 @@ from eldata.calibration.tukey_lambda import ResidualModel, tukey_lambda_tail
 from eldata.errors import DatasetError
 from tests.calibration.in_memory import stacked, summed
 from tests.calibration.simulation import XTRANS, Body, Camera
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def integers(shape: float, scale: float, size: int, seed: int = 0) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
@@ -123,19 +119,11 @@ def test_unusable_input() -> None:
     single[0, 50] = 5000
     with pytest.raises(DatasetError, match="lost in rounding"):
         read_noise(ResidualHistogram(single, 1.0))
+    with pytest.raises(DatasetError, match="256 x 256 pixels or more; found 64 x 96"):
+        power_spectrum(frames[0], stacked(camera, frames))
 
 
 SHAPE = (252, 384)  # whole periods of X-Trans
-
-
-def residuals_of(
-    mosaic: NDArray[np.uint16], channel: NDArray[np.int64], defects: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """The published way in plain numpy: off with the channels' means, then with the rows'."""
-    values = np.ma.masked_array(mosaic.astype(np.float64), defects)
-    for index in np.unique(channel):
-        values[channel == index] -= values[channel == index].mean()
-    return np.asarray((values - values.mean(axis=1, keepdims=True)).compressed())
 
 
 CAMERAS = {
@@ -153,7 +141,11 @@ def test_r_squared_is_that_of_every_pixel(name: str) -> None:
     frames = Body(camera, np.random.default_rng(3)).bias_frames(5)
     fixed = stacked(camera, frames)
     of_shape, of_normal, shape = single_frame_plot(frames[0], fixed)
-    residuals = residuals_of(frames[0], camera.channel, fixed.defects)
+    # The published way in plain numpy: off with the channels' means, then with the rows'.
+    values = np.ma.masked_array(frames[0].astype(np.float64), fixed.defects)
+    for channel in np.unique(camera.channel):
+        values[camera.channel == channel] -= values[camera.channel == channel].mean()
+    residuals = np.asarray((values - values.mean(axis=1, keepdims=True)).compressed())
     _, (_, _, normal) = stats.probplot(residuals, dist="norm")
     _, (_, _, tukey) = stats.probplot(residuals, dist="tukeylambda", sparams=(shape,))
     assert of_normal == pytest.approx(normal**2, abs=1e-3)
@@ -187,10 +179,3 @@ def test_one_tile_is_numpys(cfa: tuple[tuple[int, ...], ...]) -> None:
     found = power_spectrum(frames[0], fixed)
     assert found.dtype == np.float32
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * expected.mean())
-
-
-def test_a_frame_smaller_than_a_tile_is_refused() -> None:
-    camera = QUIET.with_(shape=(512, 254))
-    frames = Body(camera, np.random.default_rng(6)).bias_frames(4)
-    with pytest.raises(DatasetError, match="256 x 256 pixels or more; found 512 x 254"):
-        power_spectrum(frames[0], stacked(camera, frames))

@@ -82,8 +82,11 @@ def shading(truth: Truth) -> DarkShading:
 def test_the_shading_comes_back_within_its_standard_errors(truth: Truth, shading: DarkShading) -> None:
     """Of 12276 sound pixels, the standard deviation of z is 1 +- 0.0064: five of these, and 1 % for what rounding adds.
 
-    The mean over the pixels: a frame's own level is that of its pixels, so it is known to sigma / sqrt(9 x 12276).
+    Hot pixels are masked, and stay. A frame's own level is that of its pixels, so the mean over the pixels is known to
+    sigma / sqrt(9 x 12276).
     """
+    assert np.array_equal(shading.hot, truth.hot)
+    assert np.abs(shading.at(6400)[shading.hot]).max() < 40, "not the 400 DN that the pixel itself has"
     sound = ~shading.hot
     for iso in SPEEDS:
         off = (shading.at(iso) - truth.shading(iso))[sound]
@@ -112,11 +115,6 @@ def test_slopes_and_offsets_come_back(truth: Truth, shading: DarkShading) -> Non
             over = truth.levels[iso] - slope_of * iso - offset_of
             tolerance = 5 * truth.sigma(iso) / np.sqrt(FRAMES * SHAPE[0] * SHAPE[1] / 4) + 0.01
             np.testing.assert_allclose(shading.measured(iso).level_error_dn, over, atol=tolerance)
-
-
-def test_hot_pixels_are_masked_and_stay(truth: Truth, shading: DarkShading) -> None:
-    assert np.array_equal(shading.hot, truth.hot)
-    assert np.abs(shading.at(6400)[shading.hot]).max() < 40, "not the 400 DN that the pixel itself has"
 
 
 def test_what_is_left_of_the_noise(truth: Truth) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from fractions import Fraction
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -182,12 +183,8 @@ def test_choosing_reads_no_file(tree: FrameTree) -> None:
 # --- pairs ----------------------------------------------------------------------------------------------------------
 
 
-def flat(number: int, exposure_s: Fraction | None = Fraction(1, 10)) -> FrameRecord:
-    return FrameRecord(path=f"C/flat/ISO100/{number:04d}.dng", role="flat", camera="C", exposure_s=exposure_s)
-
-
 def numbers(*records: FrameRecord) -> tuple[int, ...]:
-    return tuple(int(record.path[-8:-4]) for record in records)
+    return tuple(int(record.path[:4]) for record in records)
 
 
 @pytest.mark.parametrize(
@@ -206,7 +203,8 @@ def numbers(*records: FrameRecord) -> tuple[int, ...]:
 def test_pairs(exposures: str, pairs: list[tuple[int, int]], single: tuple[int, ...]) -> None:
     """Letters are exposure times, ? an unknown one: two of those may differ. Given in another order than taken."""
     time = {"a": Fraction(1, 10), "b": Fraction(2, 10), "c": Fraction(3, 10), "?": None}
-    flats = [flat(index, time[letter]) for index, letter in enumerate(exposures, 1)]
+    shot = partial(FrameRecord, role="flat", camera="C")
+    flats = [shot(f"{index:04d}.dng", exposure_s=time[letter]) for index, letter in enumerate(exposures, 1)]
     found, left = flat_pairs(flats[::-1])
     assert [numbers(pair.first, pair.second) for pair in found] == pairs
     assert tuple(sorted(numbers(*left))) == single

@@ -76,16 +76,10 @@ def test_items_are_the_files_pixels(drv: SmallDrv) -> None:
         assert sample["reference"] == f"long/{clip}/half0001_0.png"
         assert sample["camera"] == "SonyRX100M6"
         assert all(math.isnan(sample[name]) for name in ("ratio", "iso", "exposure_s"))
-        assert torch.equal(sample["target"].expand_as(sample["input"])[3], sample["target"])
         assert dataset.records[index].frames[0] == sample["path"]
     (batch,) = DataLoader(dataset, batch_size=4)
     assert torch.equal(batch["input"], torch.stack([sample["input"] for sample in dataset]))
-
-
-def test_dynamic_clips_are_input_alone(drv: SmallDrv) -> None:
-    dataset = DRVDataset(drv.data, dynamic=True, manifest=drv.csv, window=2)
-    assert len(dataset) == 6
-    sample = dataset[1]
+    sample = DRVDataset(drv.data, dynamic=True, manifest=drv.csv, window=2)[1]  # which is input alone
     assert {"input", "target", "reference"} & set(sample) == {"input"}
     np.testing.assert_array_equal(sample["input"][0].numpy(), normalised(rgb_frame_of("M0003", 3)))
     assert (sample["scene"], sample["split"]) == ("M0003", "dynamic")

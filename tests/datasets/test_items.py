@@ -13,9 +13,7 @@ from torch.utils.data import DataLoader
 from eldata import PackedStore
 from eldata.datasets import CleanFrames, PairDataset, SourcePairs, SyntheticPairs
 from eldata.datasets.crops import Crop
-from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.manifest.card import save_card
-from eldata.noise import CameraProfile
 from eldata.raw import read_raw
 from eldata.sources.frames import Frame, FrameSource
 from tests.datasets.comparing import same
@@ -98,20 +96,3 @@ def test_levels_are_those_of_the_protocol_that_the_card_names(
     store = pack_tree(tree, tmp_path / "eld.h5").store
     assert PairDataset(tree.data, tree.csv).levels == PackedStore(store).levels == levels
     assert PairDataset(tree.data, tree.csv, levels="sid-sony").levels == "sid-sony"
-
-
-def test_crops_of_packed_arrays(pristine: Tree, tmp_path: Path) -> None:
-    """A noisy frame that is a packed array is cut like one that is a raw file."""
-    clean = tmp_path / "clean"
-    clean.mkdir()
-    (clean / "a.dng").write_bytes(pristine.file(1).read_bytes())
-    made = synthesize(clean, tmp_path / "set", Recipe(CameraProfile.load("SonyA7S2"), format="npy", per_image=2))
-    root = tmp_path / "set" / "data" / "set"
-    whole = PairDataset(root, made.path, levels="metadata")
-    cut = PairDataset(root, made.path, levels="metadata", crop=8, crops_per_frame=3)
-    cut.set_epoch(0)
-    for index, sample in enumerate(cut):
-        other, part = whole[index % 2], cut.item(index).crop.slices
-        top, left = (side.start // 2 for side in part)
-        for name in ("input", "target"):
-            assert torch.equal(sample[name], other[name][:, top : top + 8, left : left + 8])

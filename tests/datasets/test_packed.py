@@ -53,10 +53,8 @@ def sets(pristine: Tree, store: Path, tmp_path_factory: pytest.TempPathFactory) 
     """Trees and their stores: RGGB and GBRG; X-Trans, compressed."""
     folder = tmp_path_factory.mktemp("fuji")
     fuji = build_small_tree("sid-fuji", folder, ["10019"])
-    return {
-        "eld": (pristine, store),
-        "fuji": (fuji, pack_tree(fuji, folder / "fuji.h5", compression="zstd").store),
-    }
+    packed = pack_tree(fuji, folder / "fuji.h5", compression="zstd").store
+    return {"eld": (pristine, store), "fuji": (fuji, packed)}
 
 
 @pytest.mark.parametrize(
@@ -330,13 +328,9 @@ def bursts(burst_tree: SmallTree, tmp_path_factory: pytest.TempPathFactory) -> P
     return pack_tree(burst_tree, tmp_path_factory.mktemp("store") / "sony.h5").store
 
 
-@pytest.fixture
-def pairs(bursts: Path) -> PackedStore:
-    return PackedStore(bursts, crop=8, augment=True, crops_per_frame=3, clip="none", seed=4)
-
-
-def test_each_item_is_two_exposures_of_one_place(pairs: PackedStore) -> None:
+def test_each_item_is_two_exposures_of_one_place(bursts: Path) -> None:
     """The same crop of the whole frames, each in turn the input, every other frame of its burst a target in time."""
+    pairs = PackedStore(bursts, crop=8, augment=True, crops_per_frame=3, clip="none", seed=4)
     noisy = Noise2Noise(pairs)
     noisy.set_epoch(0)
     shots: dict[object, set[str]] = {}

@@ -13,16 +13,7 @@ import torch
 
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clean import Arrays, CleanFrames
-from eldata.datasets.rgb import (
-    PairSensors,
-    Rendered,
-    StagedPairs,
-    continuous,
-    of_noisy,
-    of_reference,
-    raw2rgb,
-    rgb2rgb,
-)
+from eldata.datasets.rgb import PairSensors, Rendered, StagedPairs, continuous, of_noisy, of_reference, raw2rgb, rgb2rgb
 from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import Gamma, Rendering, render_pair_for_scoring
@@ -81,6 +72,8 @@ def test_raw2rgb_renders_the_target_alone(balanced: Tree) -> None:
         assert torch.equal(sample["target"], eight_bit(Rendering.of(reference)(plain["target"])))
         rest = set(plain) - {"input", "target"}
         assert {name: sample[name] for name in rest} == {name: plain[name] for name in rest}  # type: ignore[literal-required]
+    assert "stage_in=keep_raw" in repr(staged)
+    assert "stage_out=Rendered(of_reference, Gamma(exponent=2.2), eight_bits)" in repr(staged)  # so in each process
 
 
 def test_the_target_is_what_predictions_are_scored_against(balanced: Tree) -> None:
@@ -143,9 +136,3 @@ def test_what_has_no_epochs_or_sensor_is_refused(pristine: Tree) -> None:
     staged.sensors.source.frame = lambda path: Frame.of_rgb(np.zeros((3, 2, 2), np.uint16), path)  # type: ignore[attr-defined]
     with pytest.raises(DatasetError, match="is not a raw file, whose sensor a stage needs"):
         staged[0]
-
-
-def test_the_repr_names_the_stages(balanced: Tree) -> None:
-    text = repr(raw2rgb(pairs_of(balanced)))
-    assert "stage_in=keep_raw" in text
-    assert "stage_out=Rendered(of_reference, Gamma(exponent=2.2), eight_bits)" in text  # the same in each process

@@ -12,6 +12,7 @@ from typing import Any
 import exifread
 import numpy as np
 import pytest
+import torch
 
 from eldata.cli.main import main
 from eldata.datasets.base import PairDataset
@@ -78,6 +79,12 @@ def test_tree_verifies_and_is_read(clean: Path, tmp_path: Path, file_format: Any
         assert 100 <= frame["ratio"] <= 300
         assert sample["input"].shape == sample["target"].shape
         assert float(sample["target"].mean()) == pytest.approx(LEVEL, abs=1e-4)
+    cut = PairDataset(out / "data" / "out", manifest.path, levels="metadata", clip="none", crop=8, crops_per_frame=3)
+    cut.set_epoch(0)
+    for index, sample in enumerate(cut):  # a packed array is cut as a raw file is
+        top, left = (side.start // 2 for side in cut.item(index).crop.slices)
+        for whole, part in ((pairs[index % 4][name], sample[name]) for name in ("input", "target")):
+            assert torch.equal(part, whole[:, top : top + 8, left : left + 8])
 
 
 @pytest.mark.parametrize(("block", "word"), [(1, "bayer"), (2, "quad-bayer"), (3, "nona-bayer")])
@@ -159,14 +166,13 @@ def unfinished(clean: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return out, everything(whole)
 
 
-BEGUN = ".begun"
-
-
 def test_an_ended_run_goes_on(
     unfinished: tuple[Path, dict[str, bytes]], clean: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, whole = unfinished
-    assert sorted(path.name for path in out.iterdir()) == [BEGUN, "data", "manifests"], "no manifest yet, no parameters"
+    assert sorted(path.name for path in out.iterdir()) == [".begun", "data", "manifests"], (
+        "no manifest yet, no parameters"
+    )
     assert not list((out / "manifests").iterdir())
     written: list[str] = []
 

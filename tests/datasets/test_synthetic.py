@@ -24,17 +24,7 @@ from eldata.raw.levels import unpack
 from tests.cases import in_one_test
 from tests.datasets.comparing import same
 from tests.datasets.mosaics import Mosaics
-from tests.raw.helpers import (
-    BAYER,
-    CFAS,
-    EXPOSURE,
-    NONA,
-    colours_of,
-    layout_of,
-    make_sensor,
-    random_mosaic,
-    start_of,
-)
+from tests.raw.helpers import BAYER, CFAS, EXPOSURE, NONA, colours_of, layout_of, make_sensor, random_mosaic, start_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

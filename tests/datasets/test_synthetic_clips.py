@@ -46,11 +46,6 @@ def raw_clips(folder: Path, **options: Any) -> SyntheticClips:
     return clips(CleanClips(folder), **{"windows_per_clip": 3, "seed": 3} | options)
 
 
-def flat(frames: int = 6, value: float = 0.3, height: int = 16, width: int = 16, **options: Any) -> SyntheticClips:
-    source = CleanClips([Arrays(np.full((frames, 4, height, width), value, np.float32), range_dn=RANGE_DN)])
-    return clips(source, **{"frames": frames, "crop": None, "augment": False} | options)
-
-
 # --- where the pixels come from ---------------------------------------------------------------------------------------
 
 
@@ -106,8 +101,8 @@ def test_one_draw_for_all_frames_and_fresh_noise_in_each() -> None:
     """
     height, width = 1024, 8
     gains = set()
-    dataset = flat(3, 0.5, height, width, clip="none", windows_per_clip=8)
-    for item in dataset:
+    source = CleanClips([Arrays(np.full((3, 4, height, width), 0.5, np.float32), range_dn=RANGE_DN)])
+    for item in clips(source, crop=None, augment=False, clip="none", windows_per_clip=8):
         bias = item["colour_bias_dn"].tolist()
         parameters = NoiseParameters(
             **{name: item[name] for name in NUMBERS},  # type: ignore[literal-required]

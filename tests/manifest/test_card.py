@@ -70,18 +70,6 @@ def test_optional_fields_may_be_left_out(path: Path) -> None:
     assert card.protocol == "raw", "a set of one's own"
 
 
-def spoilt(where: tuple[str | int, ...], value: Any) -> dict[str, Any]:
-    target: Any = json.loads(card_text(CARD))
-    content: dict[str, Any] = target
-    for key in where[:-1]:
-        target = target[key]
-    if value is DELETE:
-        del target[where[-1]]
-    else:
-        target[where[-1]] = value
-    return content
-
-
 DELETE = object()
 
 
@@ -131,7 +119,15 @@ REQUIRED = ("name", "title", "version", "folder", "citation", "licence", "homepa
     ],
 )
 def test_a_bad_field_is_named(path: Path, where: tuple[str | int, ...], value: Any, field: str) -> None:
-    path.write_text(json.dumps(spoilt(where, value)), encoding="utf-8")
+    content = json.loads(card_text(CARD))
+    target: Any = content
+    for key in where[:-1]:
+        target = target[key]
+    if value is DELETE:
+        del target[where[-1]]
+    else:
+        target[where[-1]] = value
+    path.write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(ManifestError) as raised:
         load_card(path)
     assert f"{path}, field {field}: " in str(raised.value)

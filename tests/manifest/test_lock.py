@@ -37,9 +37,6 @@ def test_sizes_and_hashes_are_filled_in(tree: Tree) -> None:
         assert new.size_bytes == len(content)
         assert new.sha256 == "sha256:" + hashlib.sha256(content).hexdigest()
         assert replace(new, size_bytes=None, sha256=None) == old, "nothing else changes"
-    full = verify([tree.manifest], tree.root, level="full")
-    assert full.ok
-    assert full.datasets[0].files_hashed == 32
 
 
 @pytest.mark.parametrize(

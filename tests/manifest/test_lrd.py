@@ -18,8 +18,6 @@ from tests.trees import swap
 if TYPE_CHECKING:
     from pathlib import Path
 
-FACTS = shipped_folder() / "facts" / "lrd.csv"
-
 # Lines of datalist/LRD_<split>_list.txt (wc -l).
 LINES = {"train": 1440, "val": 180, "test": 180}
 TEST_LIST = """\
@@ -96,7 +94,7 @@ def test_scenes_from_lists(tmp_path: Path) -> None:
         LrdScene("00001", "train", 1600, "0.25", ("0.00625", "0.00313", "0.002")),
         LrdScene("00541", "test", 200, "0.05", ("0.01", "0.00417", "0.0025")),
     )
-    known = {scene.scene: scene for scene in load_lrd_scenes(FACTS)}
+    known = {scene.scene: scene for scene in load_lrd_scenes(shipped_folder() / "facts" / "lrd.csv")}
     assert all(known[scene.scene] == scene for scene in lrd_scenes_from_lists(lists))
 
 

@@ -107,8 +107,7 @@ def test_mosaics_are_read_as_raws_are(kind: str, as_dng: Path, tmp_path: Path) -
 
 def test_mosaics_are_scored_packed_and_predicted_as_raws_are(as_dng: Path, tmp_path: Path) -> None:
     path = own_set(tmp_path, "npy", FACTS)
-    expected_scores = scored(as_dng)
-    assert scored(path) == expected_scores
+    assert scored(path) == scored(as_dng)
     common = ["--manifest", str(path), "--root", str(tmp_path / "data"), "--jobs", "1"]
     predictions = str(tmp_path / "preds")
     assert main(["baseline", "input", *common, "-o", predictions]) == 0
@@ -328,22 +327,17 @@ def test_ratios_that_no_file_states_are_the_manifests(tmp_path: Path) -> None:
     assert scored(path)[0][2] == 100
 
 
-def bias_set(tmp_path: Path) -> Path:
-    """Write three bias frames of the noise of :func:`mosaic_of`; return their manifest."""
-    data, iso, exposure_s = tmp_path / "data" / "own", Fraction(800), Fraction(1, 1000)
+def test_bias_frames_in_arrays_calibrate_as_raws_do(tmp_path: Path) -> None:
+    data, manifest = tmp_path / "data" / "own", tmp_path / "own.csv"
     data.mkdir(parents=True)
     for number in range(3):
         np.save(data / f"{number}.npy", mosaic_of(NOISY, number))
-    rows = [FrameRecord(f"{number}.npy", "bias", "Cam", iso=iso, exposure_s=exposure_s) for number in range(3)]
-    save_manifest(tmp_path / "own.csv", replace(CARD, counts={"bias": 3}, mosaics=(FACTS,)), rows)
-    return tmp_path / "own.csv"
-
-
-def test_bias_frames_in_arrays_calibrate_as_raws_do(tmp_path: Path) -> None:
-    bias_set(tmp_path)
-    frames = CalibrationFrames(tmp_path / "data" / "own", manifest=tmp_path / "own.csv")
+    shot = partial(FrameRecord, role="bias", camera="Cam", iso=Fraction(800), exposure_s=Fraction(1, 1000))
+    rows = [shot(f"{number}.npy") for number in range(3)]
+    save_manifest(manifest, replace(CARD, counts={"bias": 3}, mosaics=(FACTS,)), rows)
+    frames = CalibrationFrames(data, manifest=manifest)
     assert frames.header(frames.records[0]).exposure.iso == 800
     np.testing.assert_array_equal(frames[1]["mosaic"], mosaic_of(NOISY, 1))
-    np.save(tmp_path / "data" / "own" / "0.npy", mosaic_of(NOISY, 0).astype(np.float32) + 0.5)
+    np.save(data / "0.npy", mosaic_of(NOISY, 0).astype(np.float32) + 0.5)
     with pytest.raises((DatasetError, RawFileError), match="whole DN"):
         frames.read(frames.records[0])

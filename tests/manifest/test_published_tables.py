@@ -7,7 +7,7 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 from eldata.evaluation.published import PublishedRow, published_rows, shipped_published
-from eldata.manifest.catalogue import Manifest, shipped_manifest, shipped_names
+from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice
 from eldata.protocols import PROTOCOLS
 from tests.cases import in_one_test
@@ -21,13 +21,8 @@ CLIPS = {"drv-raw", "eld-dynamic"}
 
 
 @cache
-def manifest_of(dataset: str) -> Manifest:
-    return shipped_manifest(dataset)
-
-
-@cache
 def chosen_pairs(dataset: str, subset: str | None, camera: str, ratios: tuple[float, ...]) -> tuple[PairRecord, ...]:
-    manifest = manifest_of(dataset)
+    manifest = shipped_manifest(dataset)
     return Choice(subset=subset, cameras=[camera], ratios=ratios).pairs(manifest.records, manifest.card.subsets)
 
 

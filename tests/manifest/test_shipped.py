@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
 
@@ -11,7 +10,6 @@ import pytest
 from capture.protocol import RELEASED
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import Manifest, carded_names, shipped_folder, shipped_manifest, shipped_names
-from eldata.manifest.pairs import Choice
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import verify
 from manifests.generate import published
@@ -70,14 +68,6 @@ def test_numbers_isos_factors_and_references(eld: Manifest) -> None:
             metered_s = Fraction("3.2") if record.scene == "scene-2" else Fraction(4)
             assert record.exposure_s == RELEASED.exposure_s(frame, metered_s)
         assert record.iso is not None or record.role == "reference"
-
-
-@pytest.mark.parametrize("ratios", [(100, 200), (1, 10)])
-def test_the_papers_240_pairs_and_the_easier_240(eld: Manifest, ratios: tuple[int, ...]) -> None:
-    pairs = Choice(ratios=ratios).pairs(eld.records)
-    assert len(pairs) == 240
-    groups = Counter((pair.camera, pair.ratio) for pair in pairs)
-    assert groups == {(camera, ratio): 30 for camera in EXTENSIONS for ratio in ratios}
 
 
 def test_sony_exposures_are_exact(eld: Manifest) -> None:

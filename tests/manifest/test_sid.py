@@ -11,7 +11,7 @@ import pytest
 
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.card import find_subset
-from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
+from eldata.manifest.catalogue import shipped_folder, shipped_manifest
 from eldata.manifest.pairs import Choice
 from eldata.manifest.verify import verify
 from manifests.sid_scenes import SID_CAMERAS, save_scenes, scenes_from_lists
@@ -21,7 +21,7 @@ from tests.trees import scale_exposure
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from eldata.manifest.verify_report import Level, Problem
+    from eldata.manifest.verify_report import Problem
     from eldata.records import PairRecord
 
 FACTS = shipped_folder() / "facts"
@@ -47,10 +47,6 @@ def per_ratio(pairs: tuple[PairRecord, ...]) -> tuple[int, ...]:
     counts = Counter(pair.ratio for pair in pairs)
     assert set(counts) <= {100, 250, 300}
     return tuple(counts[Fraction(ratio)] for ratio in (100, 250, 300))
-
-
-def subset_of(manifest: Manifest, name: str, **options: object) -> tuple[PairRecord, ...]:
-    return Choice(subset=name, **options).pairs(manifest.records, manifest.card.subsets)  # type: ignore[arg-type]
 
 
 def first_shot(path: str) -> bool:
@@ -148,7 +144,7 @@ def test_flags() -> None:
 )
 def test_subsets(name: str, subset: str, ratios: tuple[int, ...], misaligned: tuple[int, ...] | None) -> None:
     manifest = shipped_manifest(name)
-    pairs = subset_of(manifest, subset)
+    pairs = Choice(subset=subset).pairs(manifest.records, manifest.card.subsets)
     assert per_ratio(pairs) == ratios
     assert len(pairs) == find_subset(manifest.card.subsets, subset).pairs == sum(ratios)
     if misaligned is not None:
@@ -157,7 +153,8 @@ def test_subsets(name: str, subset: str, ratios: tuple[int, ...], misaligned: tu
 
 
 def test_the_indoor_subset_is_15_scenes_at_each_ratio() -> None:
-    pairs = subset_of(shipped_manifest("sid-sony"), "indoor-15")
+    manifest = shipped_manifest("sid-sony")
+    pairs = Choice(subset="indoor-15").pairs(manifest.records, manifest.card.subsets)
     assert Counter(pair.scene for pair in pairs) == dict.fromkeys(INDOOR, 3)
     times = {pair.path.rpartition("_")[2]: pair.ratio for pair in pairs}
     assert times == {"0.1s.ARW": 100, "0.04s.ARW": 250, "0.033s.ARW": 300}
@@ -210,13 +207,12 @@ def tree(request: pytest.FixtureRequest, tmp_path: Path) -> SmallTree:
     return build_small_tree(request.param, tmp_path, SCENES[request.param])
 
 
-def problems(tree: SmallTree, level: Level = "metadata") -> list[Problem]:
-    return list(verify([tree.manifest], tree.root, level=level).problems)
+def problems(tree: SmallTree) -> list[Problem]:
+    return list(verify([tree.manifest], tree.root, level="metadata").problems)
 
 
-def frame(tree: SmallTree, exposure: str, burst: int = 0) -> str:
-    name = tree.manifest.name
-    return f"{LEFT[name].removesuffix('00_')}{burst:02d}_{exposure}s{FOLDERS[name][1]}"
+def frame(tree: SmallTree, exposure: str) -> str:
+    return f"{LEFT[tree.manifest.name]}{exposure}s{FOLDERS[tree.manifest.name][1]}"
 
 
 def test_the_capped_ratio_and_exif(tree: SmallTree) -> None:

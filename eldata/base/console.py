@@ -50,12 +50,14 @@ class Help(argparse.HelpFormatter):
         self._action_max_length = 14  # or names of commands, which are indented twice, get lines of their own
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
+        """Wrap each paragraph; indented ones, which are examples, stay as they are."""
         return "\n\n".join(
             paragraph if paragraph.startswith("    ") else super(Help, self)._fill_text(paragraph, width, indent)
             for paragraph in text.split("\n\n")
         )
 
     def _format_usage(self, usage: str | None, actions: Iterable[Any], groups: Any, prefix: str | None) -> str:
+        """Format a usage line of the required arguments and ``[options]``."""
         del groups
         needed = [action for action in actions if action.required or not action.option_strings]
         options = "" if usage or len(needed) == len(list(actions)) else " [options]"
@@ -88,6 +90,7 @@ class Parser(argparse.ArgumentParser):
         return super().parse_known_args(texts, namespace)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse an unknown command or choice, with the known ones and a similar one."""
         if action.choices is None or value in action.choices:
             return
         known = [str(choice) for choice in action.choices]
@@ -167,6 +170,7 @@ def add_shared(
 
 
 def _count_cpus() -> int:
+    """Count the CPUs that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -267,6 +271,7 @@ def _check_outputs(arguments: Arguments) -> None:
 
 
 def _is_same_file(path: Path, other: str | Path) -> bool:
+    """Tell whether both paths are one file, links followed; not if either is missing."""
     try:
         return path.samefile(other)
     except (OSError, ValueError):  # one of them is missing, or no path at all
@@ -334,11 +339,13 @@ def _terminable() -> Iterator[None]:
 
 
 def _terminate(number: int, _: object) -> None:
+    """Handle SIGTERM like Ctrl-C, once; the signal is ignored from then on."""
     signal.signal(number, signal.SIG_IGN)  # timeout(1) sends it twice: what unwinds is not to be disturbed
     raise KeyboardInterrupt(number)
 
 
 def _parse_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: Arguments) -> int:
+    """Run the subcommand that ``argv`` names; print the file of ``--json -`` or ``--csv -`` at its end."""
     words = sys.argv[1:] if argv is None else argv
     try:
         parser.parse_args([*words[1:], "--help"] if words[:1] == ["help"] else words, arguments)

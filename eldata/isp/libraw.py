@@ -43,10 +43,11 @@ def render_libraw(path: Path | str) -> NDArray[np.uint8]:
         which LibRaw would put its own; or is quad-Bayer, nona-Bayer, or
         X-Trans with a side under 512 pixels, which LibRaw does not demosaic.
     """
-    return read_file(_render, Path(path), RawFileError)
+    return read_file(_check_and_render, Path(path), RawFileError)
 
 
-def _render(path: Path) -> NDArray[np.uint8]:
+def _check_and_render(path: Path) -> NDArray[np.uint8]:
+    """Decode a raw file for its checks, then render it with LibRaw: (H, W, 3) uint8."""
     from eldata.raw.container import read_container
     from eldata.raw.reading import open_raw, read_raw
 

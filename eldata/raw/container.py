@@ -144,6 +144,7 @@ def check_container(file: RawContainer) -> None:
 
 
 def _read_header(path: Path, image: Directory, exif: Directory) -> RawHeader:
+    """Read camera, exposure, time and orientation from the first and the EXIF directory."""
     make, model = image.texts.get(tiff.MAKE, ""), image.texts.get(tiff.MODEL, "")
     if not make and not model:
         model = image.texts.get(tiff.UNIQUE_MODEL, "")
@@ -167,6 +168,7 @@ def _read_taken(directory: Directory) -> datetime | None:
 
 
 def _read_iso(image: Directory, exif: Directory) -> Fraction | None:
+    """Read the ISO: its own tag, beyond 16 bits EXIF's sensitivity tags, else Panasonic's; None if none states it."""
     stated = _positive(image, exif, tiff.ISO)
     if stated is not None and stated != _ISO_BEYOND_16_BITS:
         return stated
@@ -223,6 +225,7 @@ def _exif_of_jpeg(content: bytes) -> bytes:
 
 
 def _read_block(path: Path, file: BinaryIO, offset: int, length: int) -> bytes:
+    """Read a block of EXIF; refuse one longer than any camera writes."""
     if length > _LARGEST_BLOCK:
         raise RawFileError(path, f"damaged: it declares {length} bytes of EXIF, and no camera writes {_LARGEST_BLOCK}")
     file.seek(offset)
@@ -343,6 +346,7 @@ class StoredRows:
 
 
 def _are_one_run(extents: Sequence[tuple[int, ...]]) -> bool:
+    """Tell whether strips follow one another without a gap, given offset and length of each."""
     return all(sum(extent) == offset for extent, (offset, _) in pairwise(extents))
 
 
@@ -487,6 +491,7 @@ def refuse_unsupported(container: RawContainer) -> None:
 
 
 def _refuse_layout(path: Path, image: Directory, refused: tuple[tuple[int, tuple[int, ...], str, str], ...]) -> None:
+    """Refuse an image by its tags' numbers: the listed ones of each tag or, with none listed, all but 1."""
     for tag, numbers, text, advice in refused:
         number = image.number(tag, 1)
         if number in numbers or (not numbers and number != 1):

@@ -61,12 +61,12 @@ def _contiguous(typing: Any, array: Any) -> Any:
     del typing
     known = array.copy(layout="C")
 
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def generate_code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         del signature
         context.nrt.incref(builder, known, arguments[0])  # one more array on the same memory
         return arguments[0]
 
-    return known(array), code
+    return known(array), generate_code
 
 
 contiguous = cast("Callable[[NDArray[Any]], NDArray[Any]]", intrinsic(_contiguous))

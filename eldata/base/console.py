@@ -122,7 +122,7 @@ def add_command(commands: argparse._SubParsersAction[Parser], name: str, documen
 
 
 def document(parser: Parser, documented: str | None) -> Parser:
-    """Make a parser's help of a docstring: a line "`program name`: help.", then paragraphs and indented examples."""
+    """Describe a parser by a docstring: a line "`program name`: help.", then paragraphs and indented examples."""
     parser.description = cleandoc(documented or "").partition("\n\n")[2]
     return parser
 
@@ -183,7 +183,7 @@ def add_cameras(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def chosen_workers(arguments: Arguments) -> Iterator[Workers]:
-    """Yield the workers that ``--jobs`` or ``--dask`` asks for; a cluster is connected to, and left, in between."""
+    """Yield the workers of ``--jobs`` or ``--dask``; a Dask cluster stays connected for the block."""
     from eldata.base.workers import Workers
 
     if arguments.dask is None:
@@ -203,7 +203,7 @@ def chosen_workers(arguments: Arguments) -> Iterator[Workers]:
 
 
 def chosen(arguments: Arguments, names: Iterable[str]) -> dict[str, Any]:
-    """Take options as keyword arguments, for functions whose parameters are called as the options are stored."""
+    """Collect options by name as keyword arguments for a function with parameters of these names."""
     return {name: getattr(arguments, name) for name in names}
 
 
@@ -211,7 +211,7 @@ def chosen(arguments: Arguments, names: Iterable[str]) -> dict[str, Any]:
 
 
 def each_of(*steps: Callable[[], object] | None) -> None:
-    """Take all of these steps but ``None``, whatever becomes of some, so that nothing computed is lost.
+    """Run all steps, except ``None``, even if some fail, so that no result is lost.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def each_of(*steps: Callable[[], object] | None) -> None:
 def show_and_write(
     arguments: Arguments, text: Callable[[], str], data: Callable[[], object], *more: Callable[[], object] | None
 ) -> None:
-    """Print a text, write the data that ``--json`` asks for, and take more steps, each as :func:`each_of` does."""
+    """Print a text, write the data for ``--json``, and run more steps, all by :func:`each_of`."""
     each_of(lambda: print(text()), arguments.json and (lambda: write_json(arguments.json, data())), *more)
 
 
@@ -285,7 +285,7 @@ class Screen:
         self._stream, self._has_bars = stream, has_bars
 
     def write(self, text: str) -> int:
-        """Write what shows."""
+        """Write the text with invisible or unencodable characters as numbers."""
         start = "\r" if self._has_bars and text.startswith("\r") else ""  # progress bars begin their line again
         encoding = getattr(self._stream, "encoding", None) or "utf-8"
         self._stream.write(start + visible(text[len(start) :]).encode(encoding, "backslashreplace").decode(encoding))
@@ -327,7 +327,7 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Let SIGTERM (of schedulers, ``timeout``, containers) be what Ctrl-C is, unless somebody handles or ignores it."""
+    """Treat SIGTERM (of schedulers, ``timeout``, containers) as Ctrl-C, unless it is handled or ignored already."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         yield
         return

@@ -145,7 +145,7 @@ class TextFile:
         return path.read_bytes()
 
     def json(self) -> Fields:
-        """Return the JSON object that the file is.
+        """Parse the file as one JSON object.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class TextFile:
         )
 
     def toml(self) -> Fields:
-        """Return the TOML file's content.
+        """Parse the file as TOML.
 
         Raises
         ------
@@ -304,7 +304,7 @@ class Fields:
         return default if self.data.get(name) in self._absent else read(name, **options)
 
     def schema(self, number: int, program: str = "eldata", *, also: tuple[int, ...] = ()) -> int:
-        """Return the schema number; refuse a file of another one than those known."""
+        """Return the schema number; refuse an unknown one."""
         value = self.data.get("schema", NOTHING)
         known = (number, *also)
         if type(value) is not int or value not in known:
@@ -315,7 +315,7 @@ class Fields:
     # --- objects and lists --------------------------------------------------------------------------------------------
 
     def inside(self, name: str) -> Fields:
-        """Return an object."""
+        """Return the fields of an object within this one."""
         return Fields(self.file, self._require_type(name, dict, "an object"), self._join_name(name))
 
     def _require_type(self, name: str, kind: type[Value], expected: str) -> Value:
@@ -384,7 +384,7 @@ class Fields:
         return text
 
     def choice(self, name: str, known: Collection[Value]) -> Value:
-        """Return a value that is one of those known."""
+        """Return a value; refuse an unknown one."""
         value = self.data.get(name, NOTHING)
         for choice in known:
             if value == choice and type(value) is type(choice):

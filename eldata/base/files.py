@@ -29,7 +29,7 @@ _LONGEST_PATH = 4096
 
 @contextmanager
 def naming_file(path: Path) -> Iterator[None]:
-    """Let an ``OSError`` of the block name this file: the system names it only where it is opened."""
+    """Add this file's name to an ``OSError`` of the block: the system names it only where it is opened."""
     try:
         yield
     except OSError as error:
@@ -117,7 +117,7 @@ def visible_below(folder: Path, *, deep: bool = True) -> list[Path]:
 
 
 def read_file(work: Callable[[Path], Result], path: Path, error: type[FileError]) -> Result:
-    """Call ``work(path)`` for a stranger's file, unless that is no regular file, links followed.
+    """Call ``work(path)`` on a file of unknown origin; refuse one that is not regular, links followed.
 
     Raises
     ------

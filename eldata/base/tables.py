@@ -238,7 +238,7 @@ ROWS_SHOWN: Final = 60
 
 
 def block(heading: str, *parts: str, notes: Sequence[str] = ()) -> str:
-    """Return a heading with what stands under it: tables and pictures, which are HTML, then notes, which are texts."""
+    """Format a heading in HTML, with tables and pictures (HTML) and then notes (texts) below it."""
     shown = "".join(f"<p>{escape(note)}</p>" for note in notes[:ROWS_SHOWN])
     return f"<div><p><b>{escape(heading)}</b></p>{''.join(parts)}{shown}{_count_more(len(notes))}</div>"
 
@@ -249,14 +249,14 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection
     An empty header is left out.
     """
 
-    def line(texts: Sequence[str], kind: str) -> str:
+    def format_row(texts: Sequence[str], kind: str) -> str:
         sides = ("left" if index in left else "right" for index in range(len(texts)))
         styled = zip(texts, sides, strict=True)
         cells = (f'<{kind} style="text-align: {side}">{escape(text)}</{kind}>' for text, side in styled)
         return f"<tr>{''.join(cells)}</tr>"
 
-    head = f"<thead>{line(header, 'th')}</thead>" if header else ""
-    body = "".join(line(row, "td") for row in rows[:ROWS_SHOWN])
+    head = f"<thead>{format_row(header, 'th')}</thead>" if header else ""
+    body = "".join(format_row(row, "td") for row in rows[:ROWS_SHOWN])
     return f"<table>{head}<tbody>{body}</tbody></table>{_count_more(len(rows))}"
 
 
@@ -269,7 +269,7 @@ def picture(jpeg: bytes, alt: str) -> str:
 
 
 def escape(text: str) -> str:
-    """Return a text as HTML shows it, in one line."""
+    """Escape a text for HTML, in one line."""
     return html.escape(in_line(text))
 
 

@@ -112,7 +112,7 @@ class Workers:
 
     @classmethod
     def of(cls, workers: Workers | Executor | int) -> Workers:
-        """Take what a public function's ``workers`` may be: a number of processes, an executor, or this itself."""
+        """Convert a public function's ``workers``: a number of processes, an executor, or workers already."""
         if isinstance(workers, Workers):
             return workers
         if isinstance(workers, int):
@@ -260,7 +260,7 @@ def _submit(executor: Executor, work: Callable[[Unit], Result], unit: Unit) -> F
 
 
 def _run_elsewhere(work: Callable[[Unit], Result], unit: Unit, caller: int, _: str) -> list[Result | Failed[Unit]]:
-    """Run a unit in another thread or process; its outcome comes in a list, to be taken out of it.
+    """Run a unit in another thread or process; return its outcome in a list, which the caller empties.
 
     A thread holds on to what it returned until it runs again, and an outcome may be large.
     """
@@ -278,7 +278,7 @@ def _run_elsewhere(work: Callable[[Unit], Result], unit: Unit, caller: int, _: s
 
 
 def _run_unit(work: Callable[[Unit], Result], unit: Unit) -> Result | Failed[Unit]:
-    """Run a unit; its error becomes a value, so that what an executor itself raises can be told from it."""
+    """Run a unit; return its error as a value, to distinguish it from an executor's own errors."""
     try:
         return work(unit)
     except Exception as error:  # noqa: BLE001 # whatever it is, it is the unit's
@@ -368,7 +368,7 @@ def _is_loss(executor: Executor, error: BaseException | None) -> bool:
 
 
 def require_main_guard() -> None:
-    """End a worker that came here because it runs the main script again, all that has no main guard; say so."""
+    """End a worker that runs the main script again because that has no main guard, with a message."""
     if getattr(current_process(), "_inheriting", False):  # as Python's own check asks
         sys.stderr.write('put work under if __name__ == "__main__": each worker process runs the script again\n')
         sys.stderr.flush()
@@ -432,7 +432,7 @@ class Processes(Executor):
 
 @contextmanager
 def _ctrl_c_blocked() -> Iterator[None]:
-    """Let Ctrl-C of a terminal, which goes to all processes, pass by those that are started in the block."""
+    """Shield the processes that are started in the block from a terminal's Ctrl-C."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return

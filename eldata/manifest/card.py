@@ -212,7 +212,7 @@ class Card:
 
 
 def stated(text: str) -> str:
-    """Return a card's text, empty if it says no more than that nothing is stated."""
+    """Return a card's text; empty if the text is ``not stated`` or the like."""
     return "" if text.strip().lower() in _UNSTATED else text.strip()
 
 
@@ -286,7 +286,7 @@ def load_card(path: Path, content: bytes | None = None) -> Card:
 
 
 def _read(entry: Fields, kind: type[Record], *filled: str, **given: Any) -> Record:
-    """Return a record of an object: each field by its type, or its default where it is not there.
+    """Read a record from an object: each field by its type, a missing one as its default.
 
     Texts may be empty, but for those that are ``filled``. What is ``given`` was read already.
     """

@@ -55,7 +55,7 @@ class FrameFiles:
 
     @classmethod
     def of(cls, folder: Path, card: Card, records: Iterable[FrameRecord]) -> FrameFiles:
-        """Return the files of these rows."""
+        """Make the files of these rows, with the facts that their card states."""
         if not card.mosaics:
             return cls(folder)
         stated = {}
@@ -77,11 +77,11 @@ class FrameFiles:
         return StatedFile(file, *self.stated[path]) if path in self.stated else file
 
     def absolute(self) -> FrameFiles:
-        """Return the same, wherever a process starts."""
+        """Make the folder absolute, for processes that start in another one."""
         return replace(self, folder=self.folder.absolute())
 
     def only(self, paths: Collection[str]) -> FrameFiles:
-        """Return the same for these paths alone: what a worker gets."""
+        """Keep the facts of these paths alone, for a worker."""
         return replace(self, stated={path: self.stated[path] for path in paths if path in self.stated})
 
 

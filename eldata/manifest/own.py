@@ -363,7 +363,7 @@ def _listed_roles(folder: Path, paths: Sequence[Path]) -> dict[Path, Role]:
 
 
 def _choose_by_exposure(folder: Path, paths: Sequence[Path]) -> list[Path]:
-    """Return a camera's files of one ISO, or those at its lowest where they are what was exposed most."""
+    """Choose each camera's files at its lowest ISO; refuse a folder in which others were exposed more."""
     from eldata.raw.reading import read_header
 
     cameras: dict[str, list[tuple[Path, _Frame]]] = defaultdict(list)

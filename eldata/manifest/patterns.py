@@ -131,5 +131,5 @@ def sequence_of(names: Iterable[str]) -> FrameSequence:
 
 
 def _make_sort_key(part: str) -> tuple[int, int, str]:
-    """Sort a name's part: numbers by value, before other text."""
+    """Make a sort key of a name's part: numbers by value, before other text."""
     return (0, int(part), "") if part.isdecimal() else (1, 0, part)

@@ -270,7 +270,7 @@ def _compare(prediction: tuple[Plane, Plane], reference: tuple[Plane, Plane]) ->
 
 
 def _check_clip(clip: Clip, name: str) -> None:
-    """Refuse what is no clip (T, H, W) or (T, C, h, w) of at least two frames, or is too small."""
+    """Refuse anything but a clip (T, H, W) or (T, C, h, w) of two or more frames that are large enough."""
     if not (is_tensor(clip) or isinstance(clip, np.ndarray)):
         raise ArgumentError(f"{name} must be a numpy array or a torch tensor, not {type(clip).__name__}")
     shape = tuple(clip.shape)

@@ -394,7 +394,7 @@ _LARGEST_WHOLE: Final = 2**53  # that a float holds
 
 
 def canonical(stated: Mapping[str, Any]) -> dict[str, Any]:
-    """List what decides a score: no prose, nothing that is neutral, nothing without effect.
+    """List the fields that decide a score: no prose, no neutral values, nothing without effect.
 
     A field that is added later, whose default means what was done before, changes no digest; neither does rewording.
 
@@ -418,7 +418,7 @@ def canonical(stated: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def scoring(stated: Mapping[str, Any]) -> dict[str, Any]:
-    """List what of ``canonical`` decides the score of a given prediction: neither pairs nor input."""
+    """List the ``canonical`` fields that decide a given prediction's score: neither pairs nor input."""
     return {name: value for name, value in canonical(stated).items() if name not in (*CHOOSING, *OF_INPUT)}
 
 

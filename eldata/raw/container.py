@@ -88,7 +88,7 @@ class RawContainer:
 
     @cached_property
     def rows(self) -> StoredRows | None:
-        """Where the rows of a DNG's uncompressed mosaic stand; None of any other file.
+        """Offsets and lengths of the rows of a DNG's uncompressed mosaic; None for any other file.
 
         Raises
         ------
@@ -323,14 +323,14 @@ class StoredRows:
 
     @property
     def are_found(self) -> bool:
-        """Whether LibRaw finds them all by itself."""
+        """Whether LibRaw finds all rows by itself."""
         tags = self.main.entries.keys()
         if tiff.TILES[0] in self.main.values:
             return len(self.blocks) > 1 and tiff.STRIPS[0] not in tags
         return not tags & _TILE_TAGS and _are_one_run([block[2:] for block in self.blocks])
 
     def rearrange(self, content: bytes | bytearray) -> bytes:
-        """Whole file's bytes with the rows once more at the end, as its one strip."""
+        """Append the rows, in order, to a copy of the file's bytes, as its only strip."""
         image = np.empty((self.main.shape[0], self.row_bytes), np.uint8)
         for top, left, offset, length in self.blocks:
             block = np.frombuffer(content, np.uint8, length, offset).reshape(-1, self.block_bytes)
@@ -540,7 +540,7 @@ def make_cfa_error(path: Path, rows: Sequence[str]) -> UnusableRawError:
 
 
 def lossy_compression(path: Path) -> str | None:
-    """Name what loses data in a raw file; ``None`` if nothing known does.
+    """Name a raw file's lossy compression; ``None`` if it has none that is known.
 
     Known are Sony's compressed ARW 2 (one byte per pixel: 11 of 14 bits by a curve, differences within 16 pixels) and
     the lossy JPEG of DNG. Nikon's lossy NEF says so in its maker notes alone, Canon's CRAW in a container that is not

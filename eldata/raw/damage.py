@@ -139,7 +139,7 @@ def find_stream(head: bytes) -> Stream | None:
 
 
 def _first_symbols(tables: bytes) -> dict[int, int]:
-    """Read what the code of zero bits means, of each Huffman table by its number."""
+    """Read the first symbol of each Huffman table, by the table's number."""
     first = {}
     while tables:
         counts = tables[1:17]
@@ -165,7 +165,7 @@ def _iter_compressed(path: Path, directories: Sequence[Directory]) -> Iterator[t
 
 
 def _make_damage_error(path: Path, offset: int, what: str) -> RawFileError:
-    """Make the error that image data are damaged, with their offset in bytes and what is wrong."""
+    """Make the error that image data are damaged, with their offset in bytes and the fault."""
     return RawFileError(path, f"damaged: its image data, from byte {offset} of the file on, {what}; {_AGAIN}")
 
 

@@ -95,7 +95,7 @@ def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[Entry]:
 
 
 def _check_sensor(sensor: Sensor) -> None:
-    """Refuse what LibRaw, when it reads the file, would take for something else."""
+    """Refuse a sensor that LibRaw would read from the file as something else."""
     packed_black_level_dn(sensor.cfa, sensor.black_level_dn)  # refuses CFA and number of levels
     white = sensor.white_level_dn
     if not all(0 <= level <= _LARGEST_DN for level in sensor.black_level_dn):

@@ -348,7 +348,7 @@ def kept_area(mosaic: NDArray[Scalar], sites: Sites) -> NDArray[Scalar]:
 
 
 def with_rows(values: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Give the same values rows that are contiguous in memory, as kernels read them: as they are, or a copy."""
+    """Make rows contiguous in memory, as kernels read them; copy only if they are not."""
     return values if values.strides[-1] == values.itemsize else np.ascontiguousarray(values)
 
 

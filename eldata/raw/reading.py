@@ -144,7 +144,7 @@ def _read_facts(file: RawContainer, decode: bool) -> tuple[RawHeader, Sensor | R
 
 
 def _read_container(path: Path) -> RawContainer:
-    """Read what a file's container states, of a file that holds its data and is not known not to work."""
+    """Read a file's container; refuse a truncated or unsupported file."""
     file = read_container(path)
     check_container(file)
     refuse_unsupported(file)
@@ -316,7 +316,7 @@ def open_raw(file: RawContainer, what: str = "decode") -> Iterator[rawpy.RawPy]:
 
 
 def _mend(file: RawContainer) -> bytes | None:
-    """Whole file's bytes as LibRaw reads them right; None if it does so as they are.
+    """Correct a file's bytes for LibRaw; None if it reads them correctly as they are.
 
     It takes the bytes of a CFAPattern's 16-bit numbers for numbers, and strips for rows that follow one another.
     """

@@ -115,7 +115,7 @@ class StatedFile:
         return RawFrame(self.path, mosaic, sensor, self.exposure, remarks=border_remarks(mosaic))
 
     def check(self) -> None:
-        """Look at what the file declares, without its pixels; raises like :meth:`read`."""
+        """Check the array that the file declares, without reading pixels; raises like :meth:`read`."""
         from eldata.base.arrays import declared_array
 
         self._check_kind()

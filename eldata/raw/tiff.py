@@ -204,7 +204,7 @@ def is_dng(directories: Sequence[Directory]) -> bool:
 
 
 def main_mosaics(directories: Sequence[Directory]) -> tuple[Directory, ...]:
-    """Directories of the largest mosaics, in order: one, but of a pixel shift; no proxies."""
+    """Directories of the largest mosaics, in order: one, or several of a pixel shift; no proxies."""
     mosaics = [directory for directory in directories if directory.is_mosaic]
     most = max((directory.pixels for directory in mosaics), default=0)
     largest = [directory for directory in mosaics if directory.pixels == most]

@@ -271,7 +271,7 @@ def in_this_process(_: Any, work: Any, units: Any) -> Iterator[Any]:
 def test_blocks_run(document: str, eld: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("ELDATA_ROOT", raising=False)
-    monkeypatch.setattr(workers.Workers, "_outcomes", in_this_process)
+    monkeypatch.setattr(workers.Workers, "_run_units", in_this_process)
     names = NEEDS[document](eld) | {"__name__": "__main__"}
     for number, text in enumerate(blocks(document), 1):
         for large, small in SMALLER.items():

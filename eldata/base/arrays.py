@@ -80,7 +80,7 @@ def read_array(
     FileError
         What ``check`` raises; ``error``, if the file cannot be read.
     """
-    with _name_problems(path, error, advice), closing(_read_in_steps(path, name)) as steps:
+    with _convert_errors(path, error, advice), closing(_read_in_steps(path, name)) as steps:
         declared = next(steps)
         check(declared)
         array: NDArray[Any] = next(steps)
@@ -92,13 +92,14 @@ def declared_array(
     path: Path, *, name: str = "prediction", error: type[FileError] = PredictionError, advice: str = "write it again"
 ) -> Declared:
     """Read the header of a file's array; raises like :func:`read_array`."""
-    with _name_problems(path, error, advice), closing(_read_in_steps(path, name)) as steps:
+    with _convert_errors(path, error, advice), closing(_read_in_steps(path, name)) as steps:
         declared: Declared = next(steps)
         return declared
 
 
 @contextmanager
-def _name_problems(path: Path, error: type[FileError], advice: str) -> Iterator[None]:
+def _convert_errors(path: Path, error: type[FileError], advice: str) -> Iterator[None]:
+    """Raise ``error``, with the file's name and the advice, for whatever reading the file raises."""
     problem = file_problem(path)
     if problem is not None:
         raise error(path, problem)
@@ -124,6 +125,7 @@ def _read_in_steps(path: Path, name: str) -> Generator[Any, None, None]:
 
 
 def _first_line(error: Exception) -> str:
+    """Take the first line of an error's message, or its type if the message is empty."""
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
@@ -215,11 +217,13 @@ def read_npz(path: Path, name: str, check: Callable[[Declared], None]) -> NDArra
 
 
 def _read_npy(path: Path, _: str) -> Generator[Any, None, None]:
+    """Yield the header, then the array of a .npy file."""
     with path.open("rb") as file:
         yield from _read_npy_file(file, path.stat().st_size)
 
 
 def _read_npz(path: Path, name: str) -> Generator[Any, None, None]:
+    """Yield the header, then the values of one array in a .npz archive."""
     if not zipfile.is_zipfile(path):
         raise NpyError("is not a whole npz archive")
     with zipfile.ZipFile(path) as archive:
@@ -241,6 +245,7 @@ _MATLAB_TYPES |= {name: name for sign in ("", "u") for bits in (8, 16, 32, 64) f
 
 
 def _read_h5(path: Path, name: str) -> Generator[Any, None, None]:
+    """Yield the header, then the values of one dataset at the root of an HDF5 file; other files are not followed."""
     import h5py
 
     with h5py.File(path, "r") as file:
@@ -293,6 +298,7 @@ def _decoded_length(dataset: h5py.Dataset, index: int, most: int) -> int | None:
 
 
 def _read_mat(path: Path, name: str) -> Generator[Any, None, None]:
+    """Yield the header, then the values of one variable in a MATLAB file."""
     import scipy.io
     from scipy.io.matlab import matfile_version
 
@@ -317,6 +323,7 @@ _LARGEST_TILE = 1 << 20  # pixels, where the image is smaller
 
 
 def _read_tiff(path: Path, _: str) -> Generator[Any, None, None]:
+    """Yield the header, then the values of a TIFF file's first image, of one or more pages."""
     import tifffile
 
     if not tifffile.logger().handlers:  # or Python prints its remarks beside our error
@@ -402,6 +409,7 @@ def read_png_header(path: Path) -> PngHeader:
 
 
 def _read_ends(path: Path) -> tuple[bytes, bytes, int]:
+    """Read the first bytes of a PNG, its last bytes, and its size."""
     with path.open("rb") as file:
         head = file.read(_HEADER_BYTES)
         size = file.seek(0, os.SEEK_END)
@@ -441,6 +449,7 @@ def _pixel_chunks(content: memoryview) -> Iterator[memoryview]:
 
 
 def _read_png(path: Path, _: str) -> Generator[Any, None, None]:
+    """Yield the header, then the pixels of a PNG."""
     yield read_png_header(path)
     yield decode_png(path.read_bytes())
 

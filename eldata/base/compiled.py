@@ -61,12 +61,12 @@ def _contiguous(typing: Any, array: Any) -> Any:
     del typing
     known = array.copy(layout="C")
 
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def generate_code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         del signature
         context.nrt.incref(builder, known, arguments[0])  # one more array on the same memory
         return arguments[0]
 
-    return known(array), code
+    return known(array), generate_code
 
 
 contiguous = cast("Callable[[NDArray[Any]], NDArray[Any]]", intrinsic(_contiguous))
@@ -89,14 +89,15 @@ def in_threads(work: Callable[[Piece], Result], pieces: Sequence[Piece], threads
     waiting = iter(range(len(pieces)))  # next() on it is atomic
     held = [(work, pieces, results)]  # nothing else leads a thread to them: it holds on to what it has run for a while
 
-    def help_out() -> None:
+    def take_pieces() -> None:
+        """Compute pieces until none waits; several threads do so at once."""
         for index in waiting:
             work, pieces, results = held[0]
             results[index] = work(pieces[index])
 
-    helpers = [_pool().submit(help_out) for _ in range(count - 1)]
+    helpers = [_start_threads().submit(take_pieces) for _ in range(count - 1)]
     try:
-        help_out()
+        take_pieces()
     finally:
         begun = [helper for helper in helpers if not helper.cancel()]
         for _ in waiting:  # after an error the rest is dropped
@@ -109,13 +110,14 @@ def in_threads(work: Callable[[Piece], Result], pieces: Sequence[Piece], threads
 
 
 @cache
-def _pool() -> ThreadPoolExecutor:
+def _start_threads() -> ThreadPoolExecutor:
+    """Start the threads that all calls share, one fewer than CPUs."""
     # Kept: starting threads takes longer than many pieces of work.
     return ThreadPoolExecutor(max(1, available_threads() - 1), thread_name_prefix="eldata")
 
 
 if hasattr(os, "register_at_fork"):  # a forked child has the pool but not its threads
-    os.register_at_fork(after_in_child=_pool.cache_clear)
+    os.register_at_fork(after_in_child=_start_threads.cache_clear)
 
 
 # --- memory -----------------------------------------------------------------------------------------------------------

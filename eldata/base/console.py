@@ -50,12 +50,14 @@ class Help(argparse.HelpFormatter):
         self._action_max_length = 14  # or names of commands, which are indented twice, get lines of their own
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
+        """Wrap each paragraph; indented ones, which are examples, stay as they are."""
         return "\n\n".join(
             paragraph if paragraph.startswith("    ") else super(Help, self)._fill_text(paragraph, width, indent)
             for paragraph in text.split("\n\n")
         )
 
     def _format_usage(self, usage: str | None, actions: Iterable[Any], groups: Any, prefix: str | None) -> str:
+        """Format a usage line of the required arguments and ``[options]``."""
         del groups
         needed = [action for action in actions if action.required or not action.option_strings]
         options = "" if usage or len(needed) == len(list(actions)) else " [options]"
@@ -88,6 +90,7 @@ class Parser(argparse.ArgumentParser):
         return super().parse_known_args(texts, namespace)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse an unknown command or choice, with the known ones and a similar one."""
         if action.choices is None or value in action.choices:
             return
         known = [str(choice) for choice in action.choices]
@@ -119,7 +122,7 @@ def add_command(commands: argparse._SubParsersAction[Parser], name: str, documen
 
 
 def document(parser: Parser, documented: str | None) -> Parser:
-    """Make a parser's help of a docstring: a line "`program name`: help.", then paragraphs and indented examples."""
+    """Describe a parser by a docstring: a line "`program name`: help.", then paragraphs and indented examples."""
     parser.description = cleandoc(documented or "").partition("\n\n")[2]
     return parser
 
@@ -167,6 +170,7 @@ def add_shared(
 
 
 def _count_cpus() -> int:
+    """Count the CPUs that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -179,7 +183,7 @@ def add_cameras(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def chosen_workers(arguments: Arguments) -> Iterator[Workers]:
-    """Yield the workers that ``--jobs`` or ``--dask`` asks for; a cluster is connected to, and left, in between."""
+    """Yield the workers of ``--jobs`` or ``--dask``; a Dask cluster stays connected for the block."""
     from eldata.base.workers import Workers
 
     if arguments.dask is None:
@@ -199,7 +203,7 @@ def chosen_workers(arguments: Arguments) -> Iterator[Workers]:
 
 
 def chosen(arguments: Arguments, names: Iterable[str]) -> dict[str, Any]:
-    """Take options as keyword arguments, for functions whose parameters are called as the options are stored."""
+    """Collect options by name as keyword arguments for a function with parameters of these names."""
     return {name: getattr(arguments, name) for name in names}
 
 
@@ -207,7 +211,7 @@ def chosen(arguments: Arguments, names: Iterable[str]) -> dict[str, Any]:
 
 
 def each_of(*steps: Callable[[], object] | None) -> None:
-    """Take all of these steps but ``None``, whatever becomes of some, so that nothing computed is lost.
+    """Run all steps, except ``None``, even if some fail, so that no result is lost.
 
     Raises
     ------
@@ -229,7 +233,7 @@ def each_of(*steps: Callable[[], object] | None) -> None:
 def show_and_write(
     arguments: Arguments, text: Callable[[], str], data: Callable[[], object], *more: Callable[[], object] | None
 ) -> None:
-    """Print a text, write the data that ``--json`` asks for, and take more steps, each as :func:`each_of` does."""
+    """Print a text, write the data for ``--json``, and run more steps, all by :func:`each_of`."""
     each_of(lambda: print(text()), arguments.json and (lambda: write_json(arguments.json, data())), *more)
 
 
@@ -267,6 +271,7 @@ def _check_outputs(arguments: Arguments) -> None:
 
 
 def _is_same_file(path: Path, other: str | Path) -> bool:
+    """Tell whether both paths are one file, links followed; not if either is missing."""
     try:
         return path.samefile(other)
     except (OSError, ValueError):  # one of them is missing, or no path at all
@@ -280,7 +285,7 @@ class Screen:
         self._stream, self._has_bars = stream, has_bars
 
     def write(self, text: str) -> int:
-        """Write what shows."""
+        """Write the text with invisible or unencodable characters as numbers."""
         start = "\r" if self._has_bars and text.startswith("\r") else ""  # progress bars begin their line again
         encoding = getattr(self._stream, "encoding", None) or "utf-8"
         self._stream.write(start + visible(text[len(start) :]).encode(encoding, "backslashreplace").decode(encoding))
@@ -322,7 +327,7 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Let SIGTERM (of schedulers, ``timeout``, containers) be what Ctrl-C is, unless somebody handles or ignores it."""
+    """Treat SIGTERM (of schedulers, ``timeout``, containers) as Ctrl-C, unless it is handled or ignored already."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         yield
         return
@@ -334,11 +339,13 @@ def _terminable() -> Iterator[None]:
 
 
 def _terminate(number: int, _: object) -> None:
+    """Handle SIGTERM like Ctrl-C, once; the signal is ignored from then on."""
     signal.signal(number, signal.SIG_IGN)  # timeout(1) sends it twice: what unwinds is not to be disturbed
     raise KeyboardInterrupt(number)
 
 
 def _parse_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: Arguments) -> int:
+    """Run the subcommand that ``argv`` names; print the file of ``--json -`` or ``--csv -`` at its end."""
     words = sys.argv[1:] if argv is None else argv
     try:
         parser.parse_args([*words[1:], "--help"] if words[:1] == ["help"] else words, arguments)

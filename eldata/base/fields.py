@@ -145,7 +145,7 @@ class TextFile:
         return path.read_bytes()
 
     def json(self) -> Fields:
-        """Return the JSON object that the file is.
+        """Parse the file as one JSON object.
 
         Raises
         ------
@@ -153,21 +153,22 @@ class TextFile:
             The file's, as :meth:`text` raises it; or if it is not complete JSON, uses a name twice or a constant that
             JSON does not have, is nested too deeply, or is not an object.
         """
-        return self._parse(
+        return self._parse_as(
             "JSON", partial(json.loads, object_pairs_hook=_build_object, parse_constant=_refuse_constant)
         )
 
     def toml(self) -> Fields:
-        """Return the TOML file's content.
+        """Parse the file as TOML.
 
         Raises
         ------
         EldataError
             The file's, as :meth:`text` raises it; or if it is not TOML, or is nested too deeply.
         """
-        return self._parse("TOML", tomllib.loads)
+        return self._parse_as("TOML", tomllib.loads)
 
-    def _parse(self, kind: str, parse: Callable[[str], object]) -> Fields:
+    def _parse_as(self, kind: str, parse: Callable[[str], object]) -> Fields:
+        """Parse the file's text as ``kind``, JSON or TOML; a parser's error becomes the file's."""
         text = self.text(kind)
         try:
             data = parse(text)
@@ -223,6 +224,7 @@ class TextFile:
 
 
 def _refuse_constant(name: str) -> float:
+    """Refuse NaN and infinities, which Python's JSON parser would accept."""
     raise ValueError(f"it holds {name}, expected finite numbers")
 
 
@@ -261,16 +263,18 @@ class Fields:
 
     def problem(self, name: str, reason: str) -> EldataError:
         """Make the error, to be raised, about a field."""
-        return self.file.problem(reason, self._where(name))
+        return self.file.problem(reason, self._name_place(name))
 
     def wrong(self, name: str, expected: str, value: object) -> EldataError:
         """Make the error, to be raised, about a field that holds something unexpected."""
         return self.problem(name, f"expected {expected}, found {shown(value)}")
 
-    def _where(self, name: str) -> str:
-        return f"field {self._full(name)}"
+    def _name_place(self, name: str) -> str:
+        """Name a field's place in the file for messages."""
+        return f"field {self._join_name(name)}"
 
-    def _full(self, name: str) -> str:
+    def _join_name(self, name: str) -> str:
+        """Join this object's place and a field's name: ``rows[0].iso``."""
         return f"{self.place}.{named_field(name)}" if self.place else named_field(name)
 
     # --- which fields there are ---------------------------------------------------------------------------------------
@@ -300,7 +304,7 @@ class Fields:
         return default if self.data.get(name) in self._absent else read(name, **options)
 
     def schema(self, number: int, program: str = "eldata", *, also: tuple[int, ...] = ()) -> int:
-        """Return the schema number; refuse a file of another one than those known."""
+        """Return the schema number; refuse an unknown one."""
         value = self.data.get("schema", NOTHING)
         known = (number, *also)
         if type(value) is not int or value not in known:
@@ -311,10 +315,11 @@ class Fields:
     # --- objects and lists --------------------------------------------------------------------------------------------
 
     def inside(self, name: str) -> Fields:
-        """Return an object."""
-        return Fields(self.file, self._of_type(name, dict, "an object"), self._full(name))
+        """Return the fields of an object within this one."""
+        return Fields(self.file, self._require_type(name, dict, "an object"), self._join_name(name))
 
-    def _of_type(self, name: str, kind: type[Value], expected: str) -> Value:
+    def _require_type(self, name: str, kind: type[Value], expected: str) -> Value:
+        """Return a field's value of this Python type; refuse a missing field, or another type."""
         value = self.data.get(name, NOTHING)
         if not isinstance(value, kind):
             raise self.wrong(name, expected, value)
@@ -371,7 +376,7 @@ class Fields:
 
     def text(self, name: str, *, empty: bool = False, unseen: bool = False) -> str:
         """Return a text; one that is blank only if ``empty``, with characters that do not show only if ``unseen``."""
-        text = self._of_type(name, str, "a text")
+        text = self._require_type(name, str, "a text")
         if not (empty or text.strip()):
             raise self.wrong(name, "a text", text)
         if not unseen and has_unseen(text, lines=True):
@@ -379,7 +384,7 @@ class Fields:
         return text
 
     def choice(self, name: str, known: Collection[Value]) -> Value:
-        """Return a value that is one of those known."""
+        """Return a value; refuse an unknown one."""
         value = self.data.get(name, NOTHING)
         for choice in known:
             if value == choice and type(value) is type(choice):
@@ -389,7 +394,7 @@ class Fields:
 
     def flag(self, name: str) -> bool:
         """Return true or false."""
-        return self._of_type(name, bool, "true or false")
+        return self._require_type(name, bool, "true or false")
 
     def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
         """Return a whole number."""
@@ -414,5 +419,6 @@ class TextRow(Fields):
     _absent: ClassVar[tuple[object, ...]] = ("",)
     _is_text: ClassVar[bool] = True
 
-    def _where(self, name: str) -> str:
+    def _name_place(self, name: str) -> str:
+        """Name a field's place in the file for messages."""
         return f"{self.place}, column {name}"

@@ -29,7 +29,7 @@ _LONGEST_PATH = 4096
 
 @contextmanager
 def naming_file(path: Path) -> Iterator[None]:
-    """Let an ``OSError`` of the block name this file: the system names it only where it is opened."""
+    """Add this file's name to an ``OSError`` of the block: the system names it only where it is opened."""
     try:
         yield
     except OSError as error:
@@ -64,6 +64,7 @@ def file_problem(path: Path) -> str | None:
 
 
 def _describe_kind(status: os.stat_result) -> str:
+    """Name the kind of a file that is not regular."""
     return "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe, device or socket"
 
 
@@ -116,7 +117,7 @@ def visible_below(folder: Path, *, deep: bool = True) -> list[Path]:
 
 
 def read_file(work: Callable[[Path], Result], path: Path, error: type[FileError]) -> Result:
-    """Call ``work(path)`` for a stranger's file, unless that is no regular file, links followed.
+    """Call ``work(path)`` on a file of unknown origin; refuse one that is not regular, links followed.
 
     Raises
     ------
@@ -156,7 +157,7 @@ def write_problem(path: Path) -> str | None:
         if path.exists() and not path.is_file():  # a file is replaced by renaming, and so would a device be
             return f"is {_describe_kind(path.stat())}, not a file"
         with suppress(FileNotFoundError):
-            _temporary(path, secrets.token_hex(_TOKEN_BYTES)).lstat()  # its name is longer
+            _name_temporary(path, secrets.token_hex(_TOKEN_BYTES)).lstat()  # its name is longer
         if not folder.exists():
             return f"there is no folder {folder}; make it first"
         place = folder.resolve()
@@ -242,7 +243,7 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
         If it cannot be made.
     """
     for unique in ("eldata", *(secrets.token_hex(_TOKEN_BYTES) for _ in range(_MOST_TRIES))):
-        temporary = _temporary(path, unique)
+        temporary = _name_temporary(path, unique)
         _remove_if_dead(temporary)
         made: os.stat_result | None = None
         try:
@@ -264,7 +265,8 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
     raise OSError(errno.EBUSY, "other processes take away what is written", str(temporary))
 
 
-def _temporary(path: Path, unique: str) -> Path:
+def _name_temporary(path: Path, unique: str) -> Path:
+    """Name a hidden file in the folder of ``path``, to be written before it is renamed to ``path``."""
     return path.parent / f".{path.name}.{unique}.part"  # of any path, also of one without a name
 
 
@@ -282,6 +284,7 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def _remove_if_dead(temporary: Path) -> None:
+    """Remove a temporary file unless a running process holds its lock."""
     with suppress(OSError):  # it is not there, or not ours
         flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
         descriptor = os.open(temporary, flags)

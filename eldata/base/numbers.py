@@ -90,12 +90,13 @@ def fraction_of(text: object, *, above: float = -math.inf, digits: int = 18) -> 
     ArgumentError
         If it is anything else; the message says what was expected and found.
     """
-    value = _fraction(text, digits) if isinstance(text, str) and len(text) <= 4 * digits + 3 else None
+    value = _parse_fraction(text, digits) if isinstance(text, str) and len(text) <= 4 * digits + 3 else None
     return _check(value, text, "a number{} as text, such as 800, 0.005 or 1/30", above=above)
 
 
 @lru_cache(maxsize=4096)  # the rows of a table share most of their numbers
-def _fraction(text: str, digits: int) -> Fraction | None:
+def _parse_fraction(text: str, digits: int) -> Fraction | None:
+    """Parse a decimal number or ``1/30`` exactly; ``None`` if it is neither, or too long."""
     match = _FRACTION.fullmatch(text)
     if match is None or max(len(part) for part in match.groups("")) > digits:
         return None

@@ -37,10 +37,11 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Colle
     header, *rows = ([in_line(cell) for cell in row] for row in (header, *rows))
     widths = [max(len(cell) for cell in column) for column in zip(header, *rows, strict=True)]
     cells = (header, ["-" * width for width in widths], *rows)
-    return "\n".join("  ".join(_align(row, widths, left)).rstrip() for row in cells)
+    return "\n".join("  ".join(_pad_cells(row, widths, left)).rstrip() for row in cells)
 
 
-def _align(cells: Sequence[str], widths: Sequence[int], left: Collection[int]) -> list[str]:
+def _pad_cells(cells: Sequence[str], widths: Sequence[int], left: Collection[int]) -> list[str]:
+    """Pad a row's cells to the widths of their columns; columns ``left`` to the left."""
     return [
         cell.ljust(width) if index in left else cell.rjust(width)
         for index, (cell, width) in enumerate(zip(cells, widths, strict=True))
@@ -77,11 +78,12 @@ def aligned_markdown(cells: Sequence[Sequence[str]], left: Collection[int] = (0,
     """Return a table like :func:`markdown_table`, of cells that are Markdown already; the first row is the header."""
     widths = [max(3, *(len(cell) for cell in column)) for column in zip(*cells, strict=True)]
     ruler = ["-" * width if index in left else "-" * (width - 1) + ":" for index, width in enumerate(widths)]
-    header, *rows = (_align(row, widths, left) for row in cells)
+    header, *rows = (_pad_cells(row, widths, left) for row in cells)
     return "\n".join(f"| {' | '.join(row)} |" for row in (header, ruler, *rows))
 
 
 def _markdown_cell(cell: str) -> str:
+    """Escape a cell for Markdown; bold if it is :class:`Strong`."""
     text = markdown_text(cell)
     return f"**{text}**" if isinstance(cell, Strong) and text else text
 
@@ -154,10 +156,12 @@ def latex_table(
 
 
 def _latex_row(row: Sequence[str]) -> str:
+    """Format one row of a LaTeX table, its cells escaped."""
     return f"{' & '.join(_latex_cell(cell) for cell in row)} \\\\"
 
 
 def _latex_cell(cell: str) -> str:
+    """Escape a cell for LaTeX; bold if it is :class:`Strong`."""
     # A hyphen before a number is meant as a minus sign.
     text = latex_text(re.sub(r"(?<![\w.)-])-(?=\.?\d)", "−", cell))
     return rf"\textbf{{{text}}}" if isinstance(cell, Strong) and text else text
@@ -234,7 +238,7 @@ ROWS_SHOWN: Final = 60
 
 
 def block(heading: str, *parts: str, notes: Sequence[str] = ()) -> str:
-    """Return a heading with what stands under it: tables and pictures, which are HTML, then notes, which are texts."""
+    """Format a heading in HTML, with tables and pictures (HTML) and then notes (texts) below it."""
     shown = "".join(f"<p>{escape(note)}</p>" for note in notes[:ROWS_SHOWN])
     return f"<div><p><b>{escape(heading)}</b></p>{''.join(parts)}{shown}{_count_more(len(notes))}</div>"
 
@@ -245,14 +249,14 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection
     An empty header is left out.
     """
 
-    def line(texts: Sequence[str], kind: str) -> str:
+    def format_row(texts: Sequence[str], kind: str) -> str:
         sides = ("left" if index in left else "right" for index in range(len(texts)))
         styled = zip(texts, sides, strict=True)
         cells = (f'<{kind} style="text-align: {side}">{escape(text)}</{kind}>' for text, side in styled)
         return f"<tr>{''.join(cells)}</tr>"
 
-    head = f"<thead>{line(header, 'th')}</thead>" if header else ""
-    body = "".join(line(row, "td") for row in rows[:ROWS_SHOWN])
+    head = f"<thead>{format_row(header, 'th')}</thead>" if header else ""
+    body = "".join(format_row(row, "td") for row in rows[:ROWS_SHOWN])
     return f"<table>{head}<tbody>{body}</tbody></table>{_count_more(len(rows))}"
 
 
@@ -265,9 +269,10 @@ def picture(jpeg: bytes, alt: str) -> str:
 
 
 def escape(text: str) -> str:
-    """Return a text as HTML shows it, in one line."""
+    """Escape a text for HTML, in one line."""
     return html.escape(in_line(text))
 
 
 def _count_more(count: int) -> str:
+    """Format a paragraph with the number of rows that are not shown; empty if all are."""
     return f"<p>… and {count - ROWS_SHOWN} more</p>" if count > ROWS_SHOWN else ""

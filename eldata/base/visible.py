@@ -26,15 +26,16 @@ def has_unseen(text: str, *, lines: bool = False) -> bool:
 
 def visible(text: str) -> str:
     r"""Return a text with each character that does not show as its number, such as ``\x1b``; lines and tabs stay."""
-    return _IN_TEXT.sub(_number, text)
+    return _IN_TEXT.sub(_escape_character, text)
 
 
 def in_line(text: str) -> str:
     """Return a text as one line, with each character that does not show, line ends and tabs too, as its number."""
-    return _IN_LINE.sub(_number, text)
+    return _IN_LINE.sub(_escape_character, text)
 
 
-def _number(match: re.Match[str]) -> str:
+def _escape_character(match: re.Match[str]) -> str:
+    """Write the matched character as its short escape, or else as its hexadecimal number."""
     character = match[0]
     code = ord(character)
     return _SHORT.get(character) or (f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}")

@@ -112,7 +112,7 @@ class Workers:
 
     @classmethod
     def of(cls, workers: Workers | Executor | int) -> Workers:
-        """Take what a public function's ``workers`` may be: a number of processes, an executor, or this itself."""
+        """Convert a public function's ``workers``: a number of processes, an executor, or workers already."""
         if isinstance(workers, Workers):
             return workers
         if isinstance(workers, int):
@@ -165,15 +165,16 @@ class Workers:
         does not end the others.
         """
         with tqdm(total=len(units), desc=label, unit=unit, disable=None, leave=False) as bar:
-            for outcome in self._outcomes(work, units):
+            for outcome in self._run_units(work, units):
                 if isinstance(outcome, Failed) and isinstance(outcome.error, ImportError):
                     raise outcome.error  # no unit is to blame, and none would succeed
                 bar.update()
                 yield outcome
 
-    def _outcomes(
+    def _run_units(
         self, work: Callable[[Unit], Result], units: Sequence[Unit]
     ) -> Generator[Result | Failed[Unit], None, None]:
+        """Yield each unit's result or failure, in the units' order, from the executor, processes or this thread."""
         if self.executor is not None:
             yield from _in_order(work, units, self.executor, _PER_WORKER * count_workers(self.executor) + 1)
         elif self.jobs > 1 and len(units) > 1:
@@ -247,6 +248,7 @@ def count_workers(executor: Executor) -> int:
 
 
 def _submit(executor: Executor, work: Callable[[Unit], Result], unit: Unit) -> Future[Any]:
+    """Submit a unit to an executor; if that is broken, its error is the future's."""
     # Dask takes equal calls for the same one, and answers with the result that it already has: hence the UUID.
     call = partial(_run_elsewhere, work, unit, os.getpid(), uuid.uuid4().hex)
     try:
@@ -258,7 +260,7 @@ def _submit(executor: Executor, work: Callable[[Unit], Result], unit: Unit) -> F
 
 
 def _run_elsewhere(work: Callable[[Unit], Result], unit: Unit, caller: int, _: str) -> list[Result | Failed[Unit]]:
-    """Run a unit in another thread or process; its outcome comes in a list, to be taken out of it.
+    """Run a unit in another thread or process; return its outcome in a list, which the caller empties.
 
     A thread holds on to what it returned until it runs again, and an outcome may be large.
     """
@@ -276,7 +278,7 @@ def _run_elsewhere(work: Callable[[Unit], Result], unit: Unit, caller: int, _: s
 
 
 def _run_unit(work: Callable[[Unit], Result], unit: Unit) -> Result | Failed[Unit]:
-    """Run a unit; its error becomes a value, so that what an executor itself raises can be told from it."""
+    """Run a unit; return its error as a value, to distinguish it from an executor's own errors."""
     try:
         return work(unit)
     except Exception as error:  # noqa: BLE001 # whatever it is, it is the unit's
@@ -319,7 +321,7 @@ def _in_order(
             if not waiting:
                 return
             unit, future = waiting[0]
-            error = _error_of(future)
+            error = _await_error(future)
             if _is_loss(executor, error):
                 # Only a unit that runs alone shows whether it was the one that ended the worker.
                 wait([other for _, other in waiting])
@@ -327,7 +329,7 @@ def _in_order(
                     executor.check()
                 future = _submit(executor, work, unit)
                 waiting[0] = unit, future
-                error = _error_of(future)
+                error = _await_error(future)
             name = getattr(unit, "path", unit)
             if error is None:
                 outcome = future.result().pop()
@@ -345,7 +347,8 @@ def _in_order(
             future.cancel()
 
 
-def _error_of(future: Future[Any]) -> BaseException | None:
+def _await_error(future: Future[Any]) -> BaseException | None:
+    """Wait for a future and take its error, or its cancellation; ``None`` if it has a result."""
     try:
         return future.exception()
     except CancelledError as error:
@@ -365,7 +368,7 @@ def _is_loss(executor: Executor, error: BaseException | None) -> bool:
 
 
 def require_main_guard() -> None:
-    """End a worker that came here because it runs the main script again, all that has no main guard; say so."""
+    """End a worker that runs the main script again because that has no main guard, with a message."""
     if getattr(current_process(), "_inheriting", False):  # as Python's own check asks
         sys.stderr.write('put work under if __name__ == "__main__": each worker process runs the script again\n')
         sys.stderr.flush()
@@ -381,6 +384,7 @@ class Processes(Executor):
         self._pool = self._new_pool()
 
     def _new_pool(self) -> ProcessPoolExecutor:
+        """Make a pool of worker processes, each a fresh interpreter."""
         return ProcessPoolExecutor(self._max_workers, mp_context=get_context("spawn"), initializer=_begin)
 
     def submit(self, call: Callable[[], Any], /) -> Future[Any]:  # type: ignore[override] # all that is used
@@ -428,7 +432,7 @@ class Processes(Executor):
 
 @contextmanager
 def _ctrl_c_blocked() -> Iterator[None]:
-    """Let Ctrl-C of a terminal, which goes to all processes, pass by those that are started in the block."""
+    """Shield the processes that are started in the block from a terminal's Ctrl-C."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -449,6 +453,7 @@ def _begin() -> None:
 
 
 def _unwind(number: int, _: object) -> None:
+    """Handle SIGTERM in a worker, once: unwind its unit, or end at once if there is none."""
     signal.signal(number, signal.SIG_IGN)  # it comes twice: from the parent, and to its group
     if not _AT_WORK.is_set():  # the library would print what is raised
         os._exit(_TERMINATED)
@@ -456,6 +461,7 @@ def _unwind(number: int, _: object) -> None:
 
 
 def _end_with_parent() -> None:
+    """Wait in a thread for the parent process to end, then end this process at once."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -103,6 +103,7 @@ def read_format(path: Path) -> str:
 
 
 def _check_expansion(path: Path, unpacked_bytes: int) -> None:
+    """Refuse an archive, perhaps a zip bomb, that would unpack to many times its size."""
     size = path.stat().st_size
     if unpacked_bytes > max(SURELY_HARMLESS_BYTES, MOST_EXPANSION * size):
         more = f"from {size} to {unpacked_bytes} bytes, more than {MOST_EXPANSION}-fold, as photographs never do"
@@ -215,6 +216,7 @@ def check_room(folder: Path, missing_bytes: int, purpose: str) -> None:
 
 
 def _zip_members(path: Path) -> Iterator[Member]:
+    """Yield a zip archive's members, links and unknown compression named as their faults."""
     with zipfile.ZipFile(path) as archive:
         for info in archive.infolist():
             fault = ""
@@ -229,6 +231,7 @@ def _zip_members(path: Path) -> Iterator[Member]:
 
 @contextmanager
 def _open_seven_zip(path: Path) -> Iterator[Any]:
+    """Open a 7z archive; without py7zr, say how to install it."""
     try:
         import py7zr
     except ImportError as error:
@@ -240,6 +243,7 @@ def _open_seven_zip(path: Path) -> Iterator[Any]:
 
 
 def _seven_zip_members(path: Path) -> Iterator[Member]:
+    """Yield a 7z archive's members, links named as their faults."""
     with _open_seven_zip(path) as archive:
         for info in archive.list():
             fault = _LINK if info.is_symlink or not (info.is_file or info.is_directory) else ""
@@ -268,6 +272,7 @@ def _block_members(path: Path) -> Iterator[Member]:
 
 
 def _extract_blocks(path: Path, names: Sequence[str], staged: Path) -> Iterator[tuple[str, Path]]:
+    """Yield the named blocks of a MATLAB array, each saved in turn as the .npy file ``staged``."""
     import scipy.io
 
     array = scipy.io.loadmat(path, variable_names=[names[0].partition("/")[0]])[names[0].partition("/")[0]]

@@ -107,17 +107,18 @@ class Overview:
     def format_text(self) -> str:
         """Return all facts as text."""
         card, listed = self.card, "card" if self.manifest is None else "manifest"
-        lines = [f"{card.name}: {card.title} ({listed} version {card.version})", "", *_facts(card), *self._files()]
-        lines += ["", "where to get it", *format_downloads(card.downloads)]
+        lines = [f"{card.name}: {card.title} ({listed} version {card.version})", ""]
+        lines += [*_list_facts(card), *self._list_files(), "", "where to get it", *format_downloads(card.downloads)]
         if card.subsets:
             lines += ["", "subsets (eldata evaluate --subset)"]
             noisy = (row for row in (self.manifest.records if self.manifest else ()) if row.role == "noisy")
             counted = "clips" if any(is_pattern(row.path) for row in noisy) else "pairs"
             for subset in card.subsets:
                 lines += wrapped(f"    {subset.name}: {subset.title} ({subset.pairs} {counted})", " " * 8)
-        return "\n".join([*lines, *_remarks(card), "", "next", f"    {self.next_step}"])
+        return "\n".join([*lines, *_list_remarks(card), "", "next", f"    {self.next_step}"])
 
-    def _files(self) -> list[str]:
+    def _list_files(self) -> list[str]:
+        """Format lines on the dataset's files: number, folder and an example."""
         if self.manifest is None or self.presence is None:
             return ["files      eldata has no list of them, only this card"]
         counts = ", ".join(f"{count} {role}" for role, count in sorted(self.card.counts.items()))
@@ -129,14 +130,16 @@ class Overview:
         ]
 
 
-def _facts(card: Card) -> list[str]:
+def _list_facts(card: Card) -> list[str]:
+    """Format a card's facts as lines: licence, citation, cameras and others."""
     worded = {"cameras": ", ".join(card.cameras), "CFA": "bayer and xtrans" if card.cfa == "both" else card.cfa}
     names = ("licence", "citation", "homepage", "cameras", "CFA", "levels", "protocol", "contents")
     facts = [(name, worded[name] if name in worded else getattr(card, name)) for name in names]
     return [line for name, text in facts if text for line in wrapped(f"{name:<11}{text}", " " * 11)]
 
 
-def _remarks(card: Card) -> list[str]:
+def _list_remarks(card: Card) -> list[str]:
+    """Format a card's remarks as lists under headings: scoring, defects, unknowns, sources."""
     lines = []
     remarks = {"how it is scored": card.scored, "known defects": card.known_defects, "not known": card.unknown}
     for title, texts in (remarks | {"sources": card.sources}).items():
@@ -147,6 +150,7 @@ def _remarks(card: Card) -> list[str]:
 
 
 def _archive_size(download: Download) -> str:
+    """Format an archive's size; a card may describe a size that is not known."""
     return download.about if download.size_bytes is None else size_text(download.size_bytes)
 
 

@@ -39,14 +39,15 @@ def render_libraw(path: Path | str) -> NDArray[np.uint8]:
     Raises
     ------
     RawFileError
-        Like :func:`eldata.raw.read_raw`; or if the file has no as-shot white balance or no colour matrix, in place of
-        which LibRaw would put its own; or is quad-Bayer, nona-Bayer, or
-        X-Trans with a side under 512 pixels, which LibRaw does not demosaic.
+        Like :func:`eldata.raw.read_raw`; or if the file has no as-shot white balance or no colour matrix, for
+        which LibRaw would substitute its own; or is quad-Bayer, nona-Bayer, or X-Trans with a side under 512 pixels,
+        which LibRaw does not demosaic.
     """
-    return read_file(_render, Path(path), RawFileError)
+    return read_file(_check_and_render, Path(path), RawFileError)
 
 
-def _render(path: Path) -> NDArray[np.uint8]:
+def _check_and_render(path: Path) -> NDArray[np.uint8]:
+    """Decode a raw file for its checks, then render it with LibRaw: (H, W, 3) uint8."""
     from eldata.raw.container import read_container
     from eldata.raw.reading import open_raw, read_raw
 

@@ -265,6 +265,7 @@ def round_to_8_bits(image: torch.Tensor) -> torch.Tensor:
 
 
 def _check_packed(packed: torch.Tensor) -> None:
+    """Refuse data other than floating-point, (..., C, h, w), with the channels of a packed CFA."""
     if packed.ndim < 3 or packed.shape[-3] not in CHANNELS_OF_COLOUR:
         forms = packed_forms("(..., {channels}, h, w)")
         raise ArgumentError(f"expected packed data {forms}; found shape {tuple(packed.shape)}")

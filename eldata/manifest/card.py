@@ -212,7 +212,7 @@ class Card:
 
 
 def stated(text: str) -> str:
-    """Return a card's text, empty if it says no more than that nothing is stated."""
+    """Return a card's text; empty if the text is ``not stated`` or the like."""
     return "" if text.strip().lower() in _UNSTATED else text.strip()
 
 
@@ -275,18 +275,18 @@ def load_card(path: Path, content: bytes | None = None) -> Card:
         top,
         Card,
         "protocol",
-        folder=top.parsed("folder", _folder),
+        folder=top.parsed("folder", _check_folder),
         cfa=top.choice("cfa", CFA_WORDS),
-        cameras={name: _camera(cameras, name) for name in cameras.data},
+        cameras={name: _read_camera(cameras, name) for name in cameras.data},
         counts={role: counts.whole(role) for role in counts.data},
         downloads=tuple(_read(one, Download, "address", "paths", "sha256") for one in downloads),
         subsets=subsets,
-        mosaics=tuple(map(_mosaic, top.objects("mosaics", missing_ok=True))),
+        mosaics=tuple(map(_read_mosaic, top.objects("mosaics", missing_ok=True))),
     )
 
 
 def _read(entry: Fields, kind: type[Record], *filled: str, **given: Any) -> Record:
-    """Return a record of an object: each field by its type, or its default where it is not there.
+    """Read a record from an object: each field by its type, a missing one as its default.
 
     Texts may be empty, but for those that are ``filled``. What is ``given`` was read already.
     """
@@ -304,19 +304,22 @@ def _read(entry: Fields, kind: type[Record], *filled: str, **given: Any) -> Reco
     return kind(**given)
 
 
-def _folder(found: object) -> str:
+def _check_folder(found: object) -> str:
+    """Return a card's ``folder`` if it is the name of one folder, else refuse it."""
     if not isinstance(found, str) or path_problem(found) or "/" in found:
         raise ArgumentError(f"expected the name of one folder, found {shown(found)}")
     return found
 
 
-def _camera(cameras: Fields, name: str) -> CameraCard:
+def _read_camera(cameras: Fields, name: str) -> CameraCard:
+    """Read one camera of a card, by its name."""
     if has_unseen(name):
         raise cameras.problem(name, "has characters in its name that do not show")
     return _read(cameras.inside(name), CameraCard)
 
 
-def _mosaic(entry: Fields) -> MosaicFacts:
+def _read_mosaic(entry: Fields) -> MosaicFacts:
+    """Read a card's facts on mosaics without a header: files, cameras, CFA, black and white level in DN."""
     entry.only(names_of(MosaicFacts))
     levels = "one level, or one for each of R, G1, B and G2"
     black = entry.each("black_level_dn", Fields.number, expected=levels, fewest=1, at_least=0)

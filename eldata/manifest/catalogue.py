@@ -55,7 +55,7 @@ class FrameFiles:
 
     @classmethod
     def of(cls, folder: Path, card: Card, records: Iterable[FrameRecord]) -> FrameFiles:
-        """Return the files of these rows."""
+        """Make the files of these rows, with the facts that their card states."""
         if not card.mosaics:
             return cls(folder)
         stated = {}
@@ -77,11 +77,11 @@ class FrameFiles:
         return StatedFile(file, *self.stated[path]) if path in self.stated else file
 
     def absolute(self) -> FrameFiles:
-        """Return the same, wherever a process starts."""
+        """Make the folder absolute, for processes that start in another one."""
         return replace(self, folder=self.folder.absolute())
 
     def only(self, paths: Collection[str]) -> FrameFiles:
-        """Return the same for these paths alone: what a worker gets."""
+        """Keep the facts of these paths alone, for a worker."""
         return replace(self, stated={path: self.stated[path] for path in paths if path in self.stated})
 
 
@@ -136,6 +136,7 @@ class Manifest:
             paths_in[record.path.rpartition("/")[0]].append(record.path)
 
         def holds(folder: Path) -> bool:
+            """Tell whether a folder has at least one of the manifest's files."""
             try:
                 there = (path for parent, paths in paths_in.items() if (folder / parent).is_dir() for path in paths)
                 return any(matching(folder, path) if is_pattern(path) else (folder / path).is_file() for path in there)
@@ -213,7 +214,7 @@ def save_manifest(path: Path | str, card: Card, records: Iterable[FrameRecord]) 
         rows.write(table)
         rows.flush()
         os.fsync(rows.fileno())
-        if _card_of(path) != card:
+        if _find_card(path) != card:
             with atomic_write(path.with_suffix(".json")) as file:
                 file.write(facts)
     return manifest
@@ -230,13 +231,14 @@ def refuse_others(path: Path, card: Card, records: Iterable[FrameRecord], advice
         If so, with what to do instead.
     """
     same = {path: path.is_file() and path.read_bytes() == encoded(table_text(path, records))}
-    same[path.with_suffix(".json")] = _card_of(path) == card
+    same[path.with_suffix(".json")] = _find_card(path) == card
     for file, is_same in same.items():
         if file.exists() and not is_same:
             raise ArgumentError(f"{file} is there already, with other content: give another name, or {advice}")
 
 
-def _card_of(path: Path) -> Card | None:
+def _find_card(path: Path) -> Card | None:
+    """Load the card of a manifest's CSV file; ``None`` if it is missing or invalid."""
     with suppress(ManifestError):
         return load_card(path.with_suffix(".json"))
     return None
@@ -274,7 +276,7 @@ def shipped_card(name: str) -> Card:
         If the name is unknown; the message lists the known ones.
     """
     if name not in carded_names():
-        raise ManifestError(_name_known(name, carded_names()))
+        raise ManifestError(_explain_unknown(name, carded_names()))
     return load_card(shipped_folder() / f"{name}.json")
 
 
@@ -299,7 +301,7 @@ def shipped_manifest(name: str) -> Manifest:
             "known; eldata manifest FOLDER -o mine.csv lists your copy of camera raws (docs/adding-a-dataset.md)"
         )
     if name not in shipped_names():
-        raise ManifestError(_name_known(name, shipped_names()))
+        raise ManifestError(_explain_unknown(name, shipped_names()))
     return load_manifest(shipped_folder() / f"{name}.csv")
 
 
@@ -367,7 +369,7 @@ def known_manifest(name: str) -> Manifest:
     shipped = name in carded_names()
     place = registered_place(name, "the one that comes with eldata" if shipped else None)
     if place is None:
-        raise ManifestError(_name_known(name, known_names()))
+        raise ManifestError(_explain_unknown(name, known_names()))
     if shipped:
         return shipped_manifest(name)
     manifest = load_manifest(registered_manifest(name, place))
@@ -392,7 +394,8 @@ def known_manifests(root: Path | str | None = None) -> tuple[tuple[Manifest, ...
     return tuple(manifests), tuple(problems)
 
 
-def _name_known(name: str, known: Collection[str]) -> str:
+def _explain_unknown(name: str, known: Collection[str]) -> str:
+    """Explain that no dataset has this name: list its parts, or known and similar names."""
     parts = [one for one in known if name and one.startswith(f"{name.casefold()}-")]
     meant = f"it is {' and '.join(parts)}: name one" if parts else f"known are {', '.join(known)}"
     return f"no dataset is called {name!r}; {meant}{'' if parts else did_you_mean(name, known)}"
@@ -449,7 +452,7 @@ def find_manifests(where: Path | str | Iterable[Path | str], root: Path | str | 
     if is_name(where):
         if where not in known_names():
             raise ManifestError(
-                f"{where}: there is no such file or folder, and {_name_known(str(where), known_names())}"
+                f"{where}: there is no such file or folder, and {_explain_unknown(str(where), known_names())}"
             )
         return (checking_manifest(str(where), root),)
     path = Path(where)

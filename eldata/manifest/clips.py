@@ -253,10 +253,11 @@ def clips_of(records: Iterable[FrameRecord]) -> tuple[Clip, ...]:
         have = sorted(set(scenes) - set(without))
         hint = f"choose those that you have with ids={have!r}" if have else "is this the right folder?"
         raise DatasetError(f"no frames of {len(without)} clips, {', '.join(without[:5])} ...: {hint}")
-    return tuple(_clip(scene, rows, files) for scene, rows in sorted(scenes.items()))
+    return tuple(_make_clip(scene, rows, files) for scene, rows in sorted(scenes.items()))
 
 
-def _clip(scene: str, rows: Sequence[FrameRecord], files: Collection[str]) -> Clip:
+def _make_clip(scene: str, rows: Sequence[FrameRecord], files: Collection[str]) -> Clip:
+    """Make a clip of its noisy rows; refuse one without one numbering, folder and reference."""
     moments = {row.path: moment[1] for row in rows if (moment := moment_of(row.scene)) is not None}
     if moments:
         return _sequence(scene, sorted(rows, key=lambda row: moments[row.path]), tuple(sorted(moments.values())), files)
@@ -282,10 +283,12 @@ def _clip(scene: str, rows: Sequence[FrameRecord], files: Collection[str]) -> Cl
 
 
 def _shared_flags(rows: Sequence[FrameRecord]) -> tuple[str, ...]:
+    """List the flags that all rows have."""
     return tuple(flag for flag in rows[0].flags if all(flag in row.flags for row in rows))
 
 
 def _sequence(name: str, rows: Sequence[FrameRecord], moments: tuple[int, ...], files: Collection[str]) -> Clip:
+    """Make a clip of a sequence's moments, sorted, each with a reference of its own."""
     references = tuple(row.reference for row in rows if row.reference is not None and row.reference in files)
     if len(references) < len(rows):
         lone = ", ".join(row.path for row in rows if row.reference is None or row.reference not in files)

@@ -58,12 +58,13 @@ def check_file(files: FrameFiles, cameras: Mapping[str, CameraCard], level: Leve
 
 
 def _check_raw(path: Path, record: FrameRecord, models: Sequence[str], *, decode: bool) -> CheckedFile:
+    """Check a raw file's header and, if it is decoded, its pixels and size."""
     from eldata.raw.reading import raw_facts
 
     try:
         header, decoded = raw_facts(path, decode=decode)
     except RawFileError as error:
-        return CheckedFile([_unreadable(record, error)])
+        return CheckedFile([_describe_unreadable(record, error)])
     problems, product = _check_header(header, record, models)
     return CheckedFile([*problems, *_check_decoded(record, decoded)], product, header.remarks, header.levels_dn)
 
@@ -75,7 +76,7 @@ def _check_stated(file: StatedFile, record: FrameRecord, *, decode: bool) -> Che
         file.check()
         frame = file.read() if decode else None
     except RawFileError as error:
-        return CheckedFile([_unreadable(record, error, "a mosaic as its card states it")])
+        return CheckedFile([_describe_unreadable(record, error, "a mosaic as its card states it")])
     problems = _check_decoded(record, None if frame is None else frame.sensor)
     return CheckedFile(problems, product, () if frame is None else frame.remarks, file.header.levels_dn)
 
@@ -112,7 +113,8 @@ def _check_png(path: Path, record: FrameRecord, *, decode: bool) -> list[Problem
     return problems
 
 
-def _unreadable(record: FrameRecord, error: RawFileError, expected: str = "a whole raw file") -> Problem:
+def _describe_unreadable(record: FrameRecord, error: RawFileError, expected: str = "a whole raw file") -> Problem:
+    """Make the problem of a raw file that is damaged or cannot be used."""
     if isinstance(error, UnusableRawError):
         return row_fault(record.path, "content", "a raw file that can be used", error.found, error.advice)
     return row_fault(record.path, "content", expected, error.reason.removesuffix(f"; {COPY_AGAIN}"), COPY_AGAIN)
@@ -142,8 +144,9 @@ def _check_header(
 
 
 def _check_decoded(record: FrameRecord, decoded: Sensor | RawFileError | None) -> list[Problem]:
+    """Check what decoding gave: an error, or a sensor of the row's size; ``None`` if nothing was decoded."""
     if isinstance(decoded, RawFileError):
-        return [_unreadable(record, decoded, "a raw file that decodes")]
+        return [_describe_unreadable(record, decoded, "a raw file that decodes")]
     advice = "this file was taken in another mode or by another camera"
     return [] if decoded is None else _check_size(record, decoded.width, decoded.height, advice)
 
@@ -158,6 +161,7 @@ def _check_size(record: FrameRecord, width: int, height: int, advice: str) -> li
 
 
 def _check_hash(path: Path, place: str, expected: str) -> list[Problem]:
+    """Compare a file's ``sha256:<hex>`` with the expected one."""
     try:
         digest = sha256_of(path)
     except OSError as error:

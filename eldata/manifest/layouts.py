@@ -142,7 +142,7 @@ def describe_layout(records: Iterable[FrameRecord]) -> str:
     referenced = {row.scene for row in rows if row.role == "reference" and UNUSED not in row.flags}
     alone = tuple(dict.fromkeys(row.scene for row in rows if row.role == "noisy" and row.scene not in referenced))
     count = f"{min(frames, default=0)} to {max(frames, default=0)} frames per clip"
-    return f"{kinds or 'no files'}; {count}{f'; without a reference: {_some(alone)}' if alone else ''}"
+    return f"{kinds or 'no files'}; {count}{f'; without a reference: {_list_some(alone)}' if alone else ''}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,24 +192,25 @@ def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
     stray, noisy, bright, unused = paths_of[""][""], paths_of["noisy"], paths_of["reference"], paths_of[UNUSED]
     if stray:
         raise DatasetError(
-            f"{folder}: cannot tell which clip {len(stray)} raw files belong to, such as {_some(stray)}; expected each "
-            "below a folder called short, short1 ... or long, in one named after a clip (0001, M0000)"
+            f"{folder}: cannot tell which clip {len(stray)} raw files belong to, such as {_list_some(stray)}; expected "
+            "each below a folder called short, short1 ... or long, in one named after a clip (0001, M0000)"
         )
     if not noisy:
         raise DatasetError(f"{folder}: holds no camera raw of a clip, such as short/0001/<name>.ARW")
     for clip, paths in (*noisy.items(), *bright.items()):
         places = sorted({PurePosixPath(path).parent.as_posix() for path in paths})
         if len(places) > 1:
-            raise DatasetError(f"{folder}: clip {clip} lies in {len(places)} folders: {_some(places)}; keep one")
+            raise DatasetError(f"{folder}: clip {clip} lies in {len(places)} folders: {_list_some(places)}; keep one")
     for clip, paths in bright.items():
         if len(paths) > 1:
             raise DatasetError(
                 f"{folder}: clip {clip} has {len(paths)} long exposures, and which is the reference is not published: "
-                f"{_some(paths)}; name it with reference='PATTERN'"
+                f"{_list_some(paths)}; name it with reference='PATTERN'"
             )
     reference_of = {clip: paths[0] for clip, paths in bright.items()}
 
     def rows(role: Role, of_clips: Mapping[str, Sequence[str]], flags: tuple[str, ...] = ()) -> Iterator[FrameRecord]:
+        """Yield a row for each file of these clips, noisy ones with their clip's reference."""
         for clip, paths in of_clips.items():
             named = reference_of.get(clip) if role == "noisy" else None
             row = FrameRecord("", role, camera, clip, split_of[clip], reference=named, flags=flags)
@@ -245,6 +246,7 @@ def _kind_of_name(path: str, clip: str) -> str:
     return "/".join([*named, _DIGITS.sub("<n>", parts[-1])])
 
 
-def _some(names: Sequence[str]) -> str:
+def _list_some(names: Sequence[str]) -> str:
+    """List the first names, and count the others."""
     more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return f"{', '.join(names[:_SHOWN])}{more}"

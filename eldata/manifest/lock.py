@@ -126,6 +126,7 @@ def _find_source(manifest: Path | str, root: Path | str | None) -> tuple[Manifes
 def _lock_file(
     files: FrameFiles, cameras: Mapping[str, CameraCard], record: FrameRecord
 ) -> tuple[FrameRecord, list[Problem]]:
+    """Fill a row with its file's size and hash; check the file or, if the row had a hash, compare that."""
     path = files.folder / record.path
     require_files(path)
     locked = replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path))

@@ -152,7 +152,7 @@ def sort_own_set(
     """
     from eldata.raw.reading import raw_facts
 
-    pattern = None if scene is None else _scene_pattern(scene)
+    pattern = None if scene is None else _compile_scene(scene)
     frames, left_out, problems = _read_frames(folder, workers)
     cfas = set()
     for first in {frame.model: frame for frame in reversed(frames)}.values():
@@ -160,7 +160,7 @@ def sort_own_set(
         if isinstance(sensor, Sensor):
             cfas.add(packing_sites(sensor.cfa).name)
         elif sensor is not None:
-            problems.append(_name_unreadable(first.path, sensor))
+            problems.append(_describe_unreadable(first.path, sensor))
     records: list[FrameRecord] = []
     scenes: dict[tuple[str, str], list[_Frame]] = defaultdict(list)
     for frame in frames:
@@ -187,7 +187,7 @@ def sort_own_set(
         else:
             problems.append(row_fault(place, "scene", f"a name of its own, not {title}", other, "rename one of them"))
     records.sort(key=lambda record: record.path)
-    card = _card(name, folder.name, cfa_word(cfas), frames, records)
+    card = _make_card(name, folder.name, cfa_word(cfas), frames, records)
     return OwnSet(card, tuple(records), tuple(problem.of(name) for problem in problems), left_out)
 
 
@@ -197,7 +197,7 @@ def _read_frames(folder: Path, workers: AnyWorkers) -> tuple[list[_Frame], tuple
     problems: list[Problem] = []
     for outcome in Workers.of(workers).attempt(partial(_read_frame, folder), raws_below(folder), label="reading"):
         if isinstance(outcome, Failed):
-            problems.append(_name_unreadable(outcome.unit.relative_to(folder).as_posix(), outcome.error))
+            problems.append(_describe_unreadable(outcome.unit.relative_to(folder).as_posix(), outcome.error))
         else:
             frames.append(outcome)
     files = {folder / frame.path: ShotFacts(frame.model, frame.iso, frame.exposure_s, frame.taken) for frame in frames}
@@ -214,7 +214,8 @@ def _read_frames(folder: Path, workers: AnyWorkers) -> tuple[list[_Frame], tuple
     return frames, tuple(pairs), problems
 
 
-def _scene_pattern(scene: str) -> re.Pattern[str]:
+def _compile_scene(scene: str) -> re.Pattern[str]:
+    """Compile a ``--scene`` pattern to an expression whose one group is the scene."""
     if scene.count(SCENE) != 1:
         raise ArgumentError(f"--scene takes a pattern with one {SCENE} in it, such as '*/{SCENE}_*'; found {scene!r}")
     signs = {"*": "[^/]*", "?": "[^/]"}
@@ -223,18 +224,21 @@ def _scene_pattern(scene: str) -> re.Pattern[str]:
 
 
 def _read_frame(folder: Path, path: Path) -> _Frame:
+    """Read a raw file's camera, exposure and time from its header."""
     from eldata.raw.reading import raw_facts
 
     header, _ = raw_facts(path, decode=False)
-    return _frame_of(header, path.relative_to(folder).as_posix())
+    return _make_frame(header, path.relative_to(folder).as_posix())
 
 
-def _frame_of(header: RawHeader, path: str) -> _Frame:
+def _make_frame(header: RawHeader, path: str) -> _Frame:
+    """Make a frame of a raw file's header and its path."""
     camera, exposure = _UNFIT.sub("", header.model), header.exposure
     return _Frame(path, header.model, camera, exposure.iso, exposure.exposure_s, header.taken)
 
 
-def _name_unreadable(path: str, error: Exception) -> Problem:
+def _describe_unreadable(path: str, error: Exception) -> Problem:
+    """Make the problem of a file that cannot be read."""
     reason = error.reason if isinstance(error, RawFileError) else str(error)
     return row_fault(path, "file", "a camera raw", reason, "copy it again, or take it out of the folder")
 
@@ -280,7 +284,8 @@ def _nominal(ratio: Fraction) -> Fraction:
     return one if abs(ratio - one) <= RATIO_TOLERANCE * one else two
 
 
-def _card(name: str, folder: str, cfa: str, frames: Sequence[_Frame], records: Sequence[FrameRecord]) -> Card:
+def _make_card(name: str, folder: str, cfa: str, frames: Sequence[_Frame], records: Sequence[FrameRecord]) -> Card:
+    """Make the card of a set of one's own; citation, licence and homepage are not stated."""
     models: dict[str, set[str]] = defaultdict(set)
     for frame in frames:
         models[frame.camera].add(frame.model)
@@ -358,7 +363,7 @@ def _listed_roles(folder: Path, paths: Sequence[Path]) -> dict[Path, Role]:
 
 
 def _choose_by_exposure(folder: Path, paths: Sequence[Path]) -> list[Path]:
-    """Return a camera's files of one ISO, or those at its lowest where they are what was exposed most."""
+    """Choose each camera's files at its lowest ISO; refuse a folder in which others were exposed more."""
     from eldata.raw.reading import read_header
 
     cameras: dict[str, list[tuple[Path, _Frame]]] = defaultdict(list)
@@ -369,7 +374,7 @@ def _choose_by_exposure(folder: Path, paths: Sequence[Path]) -> list[Path]:
         except RawFileError:
             chosen.append(path)  # whatever reads it says why it cannot
         else:
-            cameras[header.model].append((path, _frame_of(header, str(path.parent))))
+            cameras[header.model].append((path, _make_frame(header, str(path.parent))))
     for frames in cameras.values():
         isos = sorted({frame.iso for _, frame in frames if frame.iso is not None})
         if len(isos) < 2:

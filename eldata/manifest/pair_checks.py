@@ -156,6 +156,7 @@ def white_remarks(
 
 
 def _decode_levels(files: FrameFiles, record: FrameRecord) -> MeanLevels:
+    """Decode a row's raw file for its mean black level and its white level, DN."""
     from eldata.raw.levels import mean_levels
     from eldata.raw.reading import read_raw
 

@@ -154,6 +154,7 @@ def _scene_names(every: Iterable[PairRecord | FrameRecord], scenes: Collection[o
 
 
 def _check_known(what: str, kind: str, wanted: Collection[object], values: Iterable[object]) -> None:
+    """Refuse wanted values that no row has, with known and similar ones."""
     known = sorted({value for value in values if value is not None})  # type: ignore[type-var] # of one kind each
     for value in wanted:
         if value not in known:

@@ -118,7 +118,7 @@ class FrameSequence:
 def sequence_of(names: Iterable[str]) -> FrameSequence:
     """Return names in order, with the one number that runs through them if there is one."""
     split = {name: _DIGITS.split(name) for name in names}
-    ordered = sorted(split, key=lambda name: ([_key(part) for part in split[name]], name))
+    ordered = sorted(split, key=lambda name: ([_make_sort_key(part) for part in split[name]], name))
     kinds = Counter("0".join(split[name][::2]) for name in ordered)
     if not kinds:
         return FrameSequence((), None, ())
@@ -130,5 +130,6 @@ def sequence_of(names: Iterable[str]) -> FrameSequence:
     return FrameSequence(tuple(ordered), numbers, tuple(name for name in ordered if name not in alike))
 
 
-def _key(part: str) -> tuple[int, int, str]:
+def _make_sort_key(part: str) -> tuple[int, int, str]:
+    """Make a sort key of a name's part: numbers by value, before other text."""
     return (0, int(part), "") if part.isdecimal() else (1, 0, part)

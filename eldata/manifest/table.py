@@ -148,63 +148,70 @@ def cell_text(value: object) -> str:
 # --- cells ------------------------------------------------------------------------------------------------------------
 
 
-def _path(text: str) -> str:
+def _parse_path(text: str) -> str:
+    """Return a cell's path; refuse an unsafe one."""
     problem = path_problem(text)
     if problem is not None:
         raise ArgumentError(f"{shown(text)} {problem}")
     return text
 
 
-def _role(text: str) -> str:
+def _parse_role(text: str) -> str:
+    """Return a cell's role; refuse an unknown one."""
     if text not in ROLES:
         raise ArgumentError(f"expected one of {', '.join(map(shown, ROLES))}, found {shown(text)}")
     return text
 
 
-def _name(text: str) -> str:
+def _parse_name(text: str) -> str:
+    """Return a cell's name, such as a camera's; refuse spaces and other signs."""
     if not _NAME.fullmatch(text):
         raise ArgumentError(f"expected a name of letters, digits and . _ + -, found {shown(text)}")
     return text
 
 
-def _sha256(text: str) -> str | None:
+def _parse_sha256(text: str) -> str | None:
+    """Return a cell's ``sha256:<hex>``; ``None`` if it is empty."""
     if text and not _SHA256.fullmatch(text):
         raise ArgumentError(f"expected sha256: and 64 hexadecimal digits, found {shown(text)}")
     return text or None
 
 
-def _flags(text: str) -> tuple[str, ...]:
+def _parse_flags(text: str) -> tuple[str, ...]:
+    """Split a cell's flags at semicolons; refuse one that is no name."""
     flags = text.split(";") if text else ()
     if not all(map(_NAME.fullmatch, flags)):
         raise ArgumentError(f"expected a ;-separated list of words, found {shown(text)}")
     return tuple(flags)
 
 
-def _number(text: str) -> Fraction | None:
+def _parse_number(text: str) -> Fraction | None:
+    """Parse a positive number exactly; ``None`` if the cell is empty."""
     return fraction_of(text, above=0) if text else None
 
 
-def _whole(text: str) -> int | None:
+def _parse_whole(text: str) -> int | None:
+    """Parse a whole number; ``None`` if the cell is empty."""
     return whole_of(text) if text else None
 
 
 # How the cells of each column are read. Most columns have few texts, each of which is read once.
 _cached = lru_cache(2**16)
 _PARSE: dict[str, Callable[[str], Any]] = {
-    "path": _path,
-    "role": _cached(_role),
-    "camera": _cached(_name),
-    "scene": _cached(lambda text: text and _name(text)),
-    "split": _cached(lambda text: text and _name(text)),
-    "iso": _cached(_number),
-    "exposure_s": _cached(_number),
-    "ratio": _cached(_number),
-    "reference": _cached(lambda text: _path(text) if text else None),
-    "width": _cached(_whole),
-    "height": _cached(_whole),
-    "size_bytes": _whole,
-    "sha256": _sha256,
-    "flags": _cached(_flags),
+    "path": _parse_path,
+    "role": _cached(_parse_role),
+    "camera": _cached(_parse_name),
+    "scene": _cached(lambda text: text and _parse_name(text)),
+    "split": _cached(lambda text: text and _parse_name(text)),
+    "iso": _cached(_parse_number),
+    "exposure_s": _cached(_parse_number),
+    "ratio": _cached(_parse_number),
+    "reference": _cached(lambda text: _parse_path(text) if text else None),
+    "width": _cached(_parse_whole),
+    "height": _cached(_parse_whole),
+    "size_bytes": _parse_whole,
+    "sha256": _parse_sha256,
+    "flags": _cached(_parse_flags),
 }
 # Needs no closer look: no part of it begins with a dot.
 _PLAIN_PATH = re.compile(

@@ -92,6 +92,7 @@ def verify(
 def _verify_dataset(
     manifest: Manifest, folder: Path, cameras: Collection[str] | None, level: Level, workers: Workers
 ) -> DatasetReport:
+    """Check one manifest's files of these cameras; a missing folder is reported and nothing checked."""
     records = [record for record in manifest.records if not cameras or record.camera in cameras]
     # Two datasets may share a folder and have one each in it (SID/Sony, SID/Fuji): a copy of one may lack the other.
     tops = {record.path.partition("/")[0] for record in manifest.records}
@@ -137,6 +138,7 @@ def check_files(
 
 
 def _take_outcome(outcome: CheckedFile | Failed[FrameRecord]) -> CheckedFile:
+    """Return a file's check; one that failed to run becomes a problem of its file."""
     if not isinstance(outcome, Failed):
         return outcome
     advice = "make it readable where the check runs, and check again"
@@ -203,16 +205,16 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
     Another form of a listed shot, such as the DNG made of a raw file, is no sign of other frames.
     """
     every = expand(manifest.records, folder)
-    count_in = Counter(_parent(record.path) for record in every)
+    count_in = Counter(_name_folder(record.path) for record in every)
     kinds: dict[str, frozenset[str]] = defaultdict(frozenset)
     for record in every:
         if Path(record.path).suffix.lower() in RAW_EXTENSIONS:
-            kinds[_parent(record.path)] |= RAW_EXTENSIONS
+            kinds[_name_folder(record.path)] |= RAW_EXTENSIONS
         elif is_png(record.path) and record.role == "noisy":  # beside references may lie other pictures (DRV)
-            kinds[_parent(record.path)] |= {".png"}
+            kinds[_name_folder(record.path)] |= {".png"}
     shots, spelled = {_shot(record.path) for record in every}, {record.path.casefold(): record.path for record in every}
     problems = []
-    for parent in sorted({_parent(record.path) for record in records}):
+    for parent in sorted({_name_folder(record.path) for record in records}):
         files = visible_below(folder / parent, deep=False)
         alike = [path.relative_to(folder).as_posix() for path in files if path.suffix.lower() in kinds[parent]]
         for path in alike:
@@ -224,9 +226,11 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
     return problems
 
 
-def _parent(path: str) -> str:
+def _name_folder(path: str) -> str:
+    """Return the folder of a POSIX path; ``.`` if it has none."""
     return path.rpartition("/")[0] or "."
 
 
 def _shot(path: str) -> str:
+    """Return a path without extension, in lower case: the same for a shot's raw file and its JPEG."""
     return Path(path).with_suffix("").as_posix().casefold()

@@ -108,9 +108,10 @@ class Pair:
 
     def blocks(self, band: Band) -> tuple[Block, Block]:
         """Take the band's rows of both images, C-contiguous; they are copied only where they must be."""
-        return self._block(self.prediction, band), self._block(self.reference, band)
+        return self._take_rows(self.prediction, band), self._take_rows(self.reference, band)
 
-    def _block(self, image: Array, band: Band) -> Block:
+    def _take_rows(self, image: Array, band: Band) -> Block:
+        """Take a band's rows of one image, C-contiguous and read-only."""
         block = np.require(image[band.channel, band.start : band.stop], self.dtype, ("C", "A", "E"))
         block.flags.writeable = False  # always, so that numba compiles each kernel once per dtype
         return block

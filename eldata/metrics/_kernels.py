@@ -187,7 +187,8 @@ _W0, _W1, _W2, _W3, _W4, _W5 = WEIGHTS
 
 
 @kernel
-def _along_row(row: NDArray[np.float64], out: NDArray[np.float64], count: int) -> None:
+def _filter_along_row(row: NDArray[np.float64], out: NDArray[np.float64], count: int) -> None:
+    """Filter a row with the Gaussian window of 11 weights: ``count`` values into ``out``."""
     for j in range(count):
         out[j] = (
             (_W5 * (row[j] + row[j + 10]) + _W4 * (row[j + 1] + row[j + 9]))
@@ -197,7 +198,8 @@ def _along_row(row: NDArray[np.float64], out: NDArray[np.float64], count: int) -
 
 
 @kernel
-def _along_column(rows: NDArray[np.float64], first: int, out: NDArray[np.float64], count: int) -> None:
+def _filter_along_column(rows: NDArray[np.float64], first: int, out: NDArray[np.float64], count: int) -> None:
+    """Filter eleven rows from ``first`` on, down each column: ``count`` values into ``out``."""
     for j in range(count):
         out[j] = (
             (_W5 * (rows[first, j] + rows[first + 10, j]) + _W4 * (rows[first + 1, j] + rows[first + 9, j]))
@@ -295,7 +297,7 @@ def gaussian_error_and_similarity(
                 for which in range(4):
                     line = kept[channel, which, slot]
                     again = kept[channel, which, slot + _KEPT]
-                    _along_row(values[which], line, inner)
+                    _filter_along_row(values[which], line, inner)
                     for j in range(inner):
                         again[j] = line[j]
             done = row - _GAUSSIAN_MARGIN + 1  # windows that end in this row or above
@@ -311,7 +313,7 @@ def gaussian_error_and_similarity(
                             lines, first, filtered[0, channel, which], filtered[1, channel, which], inner
                         )
                     else:
-                        _along_column(lines, first + 1, filtered[0, channel, which], inner)
+                        _filter_along_column(lines, first + 1, filtered[0, channel, which], inner)
             for below in range(2 if two else 1):
                 for channel in range(channels):
                     if channels == 1:

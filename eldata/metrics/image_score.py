@@ -244,6 +244,7 @@ def factor_by(prediction: Image, reference: Image, rules: ScoringRules, *, threa
 
 
 def _find_factor(images: Pair, rules: ScoringRules, threads: int | None) -> float:
+    """Find the factor of least squared error, <p, g> / <p, p>; 1.0 if the rules rescale nothing."""
     if rules.rescaling == "none":
         return 1.0
     low, high = rules.treatment(1.0)[:2]
@@ -285,13 +286,14 @@ def _round_images(images: Pair, rules: ScoringRules, treatment: Treatment) -> Pa
     """Round both images to 8-bit codes, which float32 holds exactly."""
     half = 0.5 if rules.rounding == "8-bit" else 0.0
 
-    def codes(image: Array, treatment: Treatment) -> NDArray[np.float32]:
+    def round_image(image: Array, treatment: Treatment) -> NDArray[np.float32]:
+        """Treat an image, then round it to 8-bit codes."""
         result = np.empty(image.shape, np.float32)
         for channel, plane in enumerate(image):
             result[channel] = np.clip(np.floor(255.0 * treated(plane, treatment) + half), 0.0, 255.0)
         return result
 
-    return check_pair(codes(images.prediction, treatment), codes(images.reference, AS_IT_IS))
+    return check_pair(round_image(images.prediction, treatment), round_image(images.reference, AS_IT_IS))
 
 
 # --- ELD's illuminance correction: the one factor that brings a prediction to its reference's brightness --------------

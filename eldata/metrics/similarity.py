@@ -125,7 +125,7 @@ def error_and_ssim(
     c1 = (_K1 * data_range) ** 2
     c2 = (_K2 * data_range) ** 2
     if window == "gaussian-11-volume":
-        return _sum_volume(images, c1, c2, treatment, covariance, threads)
+        return _score_volume(images, c1, c2, treatment, covariance, threads)
     side = window_side(window)
     entries = side * side
     degrees = entries - 1 if covariance == "sample" else entries
@@ -166,9 +166,10 @@ def _weigh_channels(channels: int) -> NDArray[np.float64]:
     return mixing
 
 
-def _sum_volume(
+def _score_volume(
     images: Pair, c1: float, c2: float, treatment: Treatment, covariance: Covariance, threads: int | None
 ) -> tuple[float, float]:
+    """Compute mean squared error and SSIM with a Gaussian window that also spans the channels."""
     channels, height, _ = images.prediction.shape
     mixing = _weigh_channels(channels)
     entries = GAUSSIAN_WINDOW**3

@@ -231,6 +231,7 @@ _Band: TypeAlias = tuple[Plane, float]
 
 
 def _compute_band(frame: Image, name: str, scale: float) -> _Band:
+    """Compute a frame's band and largest absolute value, both times ``scale``; refuse NaN and infinity."""
     grey = raw_to_grey(frame)
     size = max(abs(float(grey.min())), abs(float(grey.max())))  # NaN comes through min and max
     if not math.isfinite(size):
@@ -269,6 +270,7 @@ def _compare(prediction: tuple[Plane, Plane], reference: tuple[Plane, Plane]) ->
 
 
 def _check_clip(clip: Clip, name: str) -> None:
+    """Refuse anything but a clip (T, H, W) or (T, C, h, w) of two or more frames that are large enough."""
     if not (is_tensor(clip) or isinstance(clip, np.ndarray)):
         raise ArgumentError(f"{name} must be a numpy array or a torch tensor, not {type(clip).__name__}")
     shape = tuple(clip.shape)
@@ -289,6 +291,7 @@ def _check_clip(clip: Clip, name: str) -> None:
 
 
 def _describe_channels(what: str, channels: int) -> str:
+    """Say which numbers of channels can be reduced to grey, for an error."""
     return (
         f"{what} has {channels} channels: reduced to grey are packed Bayer R, G1, B, G2 (4), RGB (3) and grey (1); "
         "for others pass a grey clip (T, H, W) of your own making"

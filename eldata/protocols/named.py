@@ -30,6 +30,7 @@ _CONTENT = TextFile(Path(__file__).parent / "shipped.toml", ArgumentError).toml(
 
 
 def _read_shipped(content: Mapping[str, Any]) -> dict[str, Protocol]:
+    """Make the shipped protocols of a parsed file, by name; one may build on another before it."""
     texts: dict[str, str] = {}
     for name, text in content["texts"].items():
         texts[name] = text.strip().format_map(texts)
@@ -220,6 +221,7 @@ def load_protocol(path: Path | str) -> Protocol:
 
 
 def _read_ratio(top: Fields, name: str) -> Any:
+    """Read a positive ratio as it is written, whole or with decimals."""
     top.number(name, above=0)
     return top.value(name)  # whole where it is: the digest tells 100 from 100.0
 

@@ -73,6 +73,7 @@ class _Describable(ABC):
         return f"{type(self).__name__}({name!r}, {title!r}, {self.digest[:15]})"
 
     def _repr_html_(self) -> str:
+        """Show the stated fields and the digest as a table in notebooks."""
         stated = [(name, _format_value(value)) for name, value in self.as_dict().items() if value not in ("", [], None)]
         return block(f"Protocol {self.as_dict()['name']}", table((), [*stated, ("digest", self.digest)], left=(0, 1)))
 
@@ -259,7 +260,7 @@ class Protocol(_Describable):
         ArgumentError
             If the image is too small for the region.
         """
-        return _crop(self.region, shape)
+        return _index_region(self.region, shape)
 
     @property
     def factor_region(self) -> str:
@@ -268,7 +269,7 @@ class Protocol(_Describable):
 
     def factor_crop(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
         """Index the part that the factor is found on, as :meth:`crop` does; the region if there is no factor."""
-        return _crop(self.region if self.rescaling == "none" else self.factor_region, shape)
+        return _index_region(self.region if self.rescaling == "none" else self.factor_region, shape)
 
     def check(self) -> None:
         """Raise :class:`ArgumentError` if a field has a value that it cannot have, or two do not go together."""
@@ -310,7 +311,8 @@ class Protocol(_Describable):
             raise ArgumentError(f"ratios must be positive; found {list(self.ratios)}")
 
 
-def _crop(region: str, shape: tuple[int, ...]) -> tuple[slice, ...]:
+def _index_region(region: str, shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """Index a region such as ``centre-512`` in an image of ``shape`` (..., h, w)."""
     height, width = shape[-2:]
     kind, size = _kind_and_size("region", region)
     if kind == "full":
@@ -392,7 +394,7 @@ _LARGEST_WHOLE: Final = 2**53  # that a float holds
 
 
 def canonical(stated: Mapping[str, Any]) -> dict[str, Any]:
-    """List what decides a score: no prose, nothing that is neutral, nothing without effect.
+    """List the fields that decide a score: no prose, no neutral values, nothing without effect.
 
     A field that is added later, whose default means what was done before, changes no digest; neither does rewording.
 
@@ -416,7 +418,7 @@ def canonical(stated: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def scoring(stated: Mapping[str, Any]) -> dict[str, Any]:
-    """List what of ``canonical`` decides the score of a given prediction: neither pairs nor input."""
+    """List the ``canonical`` fields that decide a given prediction's score: neither pairs nor input."""
     return {name: value for name, value in canonical(stated).items() if name not in (*CHOOSING, *OF_INPUT)}
 
 

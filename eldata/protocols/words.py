@@ -44,10 +44,12 @@ _AMPLIFICATIONS = {"metadata": "by the files' exposure ratio", "nominal": "by th
 
 
 def _join(values: Any) -> str:
+    """List values in a line; ``all`` if there are none."""
     return ", ".join(map(str, values)) if values else "all"
 
 
 def _join_ratios(values: Any) -> str:
+    """List ratios in a line, as ``x100, x200``; ``all`` if there are none."""
     return ", ".join(f"x{value:g}" for value in values) if values else "all"
 
 
@@ -149,6 +151,7 @@ def summary(protocol: Protocol, eld: Protocol) -> tuple[str, ...]:
 
 
 def _summarise_pairs(protocol: Protocol) -> str:
+    """Summarise a protocol's pairs: factors, subset, scenes, cameras; of clips their number of frames."""
     if protocol.kind is not IMAGES:
         return f"{protocol.as_dict()['frame_count'] or 'all'} frames per clip"
     pairs = [protocol.subset or "", _summarise_scenes(protocol.scenes), ", ".join(protocol.cameras)]
@@ -177,11 +180,13 @@ def _summarise(protocol: Protocol) -> dict[str, str]:
 
 
 def _shorten_region(region: str) -> str:
+    """Shorten a region for a table's cell: ``centre 512``, ``8 px off``."""
     kind, _, size = region.partition("-")
     return {"centre": f"centre {size}", "border": f"{size} px off"}.get(kind, region)
 
 
 def _summarise_scenes(scenes: tuple[str, ...]) -> str:
+    """Summarise scenes: ``scenes 1-10`` if their numbers follow one another, else their count."""
     if not scenes:
         return ""
     numbers = [name.removeprefix("scene-") for name in scenes]
@@ -237,13 +242,16 @@ def comparability(
 
 
 def _find_factor_region(protocol: Mapping[str, Any]) -> Any:
+    """Find the region for a protocol's rescaling factor, which may be the scored one."""
     region = _find_value(protocol, "rescaling_region")
     return protocol.get("region") if region == SCORED else region
 
 
 def _find_value(protocol: Mapping[str, Any], name: str) -> Any:
+    """Find a field's value, or its neutral one if the protocol does not state it."""
     return protocol.get(name, NEUTRAL.get(name))
 
 
 def _format_value(protocol: Mapping[str, Any], name: str) -> str:
+    """Describe a field's value; ``not stated`` if it has none, not even a neutral one."""
     return in_words(name, _find_value(protocol, name)) if name in (*protocol, *NEUTRAL) else "not stated"

@@ -88,7 +88,7 @@ class RawContainer:
 
     @cached_property
     def rows(self) -> StoredRows | None:
-        """Where the rows of a DNG's uncompressed mosaic stand; None of any other file.
+        """Offsets and lengths of the rows of a DNG's uncompressed mosaic; None for any other file.
 
         Raises
         ------
@@ -144,6 +144,7 @@ def check_container(file: RawContainer) -> None:
 
 
 def _read_header(path: Path, image: Directory, exif: Directory) -> RawHeader:
+    """Read camera, exposure, time and orientation from the first and the EXIF directory."""
     make, model = image.texts.get(tiff.MAKE, ""), image.texts.get(tiff.MODEL, "")
     if not make and not model:
         model = image.texts.get(tiff.UNIQUE_MODEL, "")
@@ -167,6 +168,7 @@ def _read_taken(directory: Directory) -> datetime | None:
 
 
 def _read_iso(image: Directory, exif: Directory) -> Fraction | None:
+    """Read the ISO: its own tag, beyond 16 bits EXIF's sensitivity tags, else Panasonic's; None if none states it."""
     stated = _positive(image, exif, tiff.ISO)
     if stated is not None and stated != _ISO_BEYOND_16_BITS:
         return stated
@@ -223,6 +225,7 @@ def _exif_of_jpeg(content: bytes) -> bytes:
 
 
 def _read_block(path: Path, file: BinaryIO, offset: int, length: int) -> bytes:
+    """Read a block of EXIF; refuse one longer than any camera writes."""
     if length > _LARGEST_BLOCK:
         raise RawFileError(path, f"damaged: it declares {length} bytes of EXIF, and no camera writes {_LARGEST_BLOCK}")
     file.seek(offset)
@@ -320,14 +323,14 @@ class StoredRows:
 
     @property
     def are_found(self) -> bool:
-        """Whether LibRaw finds them all by itself."""
+        """Whether LibRaw finds all rows by itself."""
         tags = self.main.entries.keys()
         if tiff.TILES[0] in self.main.values:
             return len(self.blocks) > 1 and tiff.STRIPS[0] not in tags
         return not tags & _TILE_TAGS and _are_one_run([block[2:] for block in self.blocks])
 
     def rearrange(self, content: bytes | bytearray) -> bytes:
-        """Whole file's bytes with the rows once more at the end, as its one strip."""
+        """Append the rows, in order, to a copy of the file's bytes, as its only strip."""
         image = np.empty((self.main.shape[0], self.row_bytes), np.uint8)
         for top, left, offset, length in self.blocks:
             block = np.frombuffer(content, np.uint8, length, offset).reshape(-1, self.block_bytes)
@@ -343,6 +346,7 @@ class StoredRows:
 
 
 def _are_one_run(extents: Sequence[tuple[int, ...]]) -> bool:
+    """Tell whether strips follow one another without a gap, given offset and length of each."""
     return all(sum(extent) == offset for extent, (offset, _) in pairwise(extents))
 
 
@@ -487,6 +491,7 @@ def refuse_unsupported(container: RawContainer) -> None:
 
 
 def _refuse_layout(path: Path, image: Directory, refused: tuple[tuple[int, tuple[int, ...], str, str], ...]) -> None:
+    """Refuse an image by its tags' numbers: the listed ones of each tag or, with none listed, all but 1."""
     for tag, numbers, text, advice in refused:
         number = image.number(tag, 1)
         if number in numbers or (not numbers and number != 1):
@@ -535,7 +540,7 @@ def make_cfa_error(path: Path, rows: Sequence[str]) -> UnusableRawError:
 
 
 def lossy_compression(path: Path) -> str | None:
-    """Name what loses data in a raw file; ``None`` if nothing known does.
+    """Name a raw file's lossy compression; ``None`` if it has none that is known.
 
     Known are Sony's compressed ARW 2 (one byte per pixel: 11 of 14 bits by a curve, differences within 16 pixels) and
     the lossy JPEG of DNG. Nikon's lossy NEF says so in its maker notes alone, Canon's CRAW in a container that is not

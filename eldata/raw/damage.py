@@ -89,7 +89,7 @@ def check_samples(path: Path, directories: Sequence[Directory]) -> None:
             except ValueError:  # damaged: data_fault says how
                 continue
             if stream is not None and stream.samples > _BITS * count:
-                raise _damaged_header(path, offset, f"declares {stream.samples} samples in {count} bytes")
+                raise _make_damage_error(path, offset, f"declares {stream.samples} samples in {count} bytes")
 
 
 # --- the file's image data ------------------------------------------------------------------------------------
@@ -139,7 +139,7 @@ def find_stream(head: bytes) -> Stream | None:
 
 
 def _first_symbols(tables: bytes) -> dict[int, int]:
-    """Read what the code of zero bits means, of each Huffman table by its number."""
+    """Read the first symbol of each Huffman table, by the table's number."""
     first = {}
     while tables:
         counts = tables[1:17]
@@ -164,7 +164,8 @@ def _iter_compressed(path: Path, directories: Sequence[Directory]) -> Iterator[t
             yield directory, offset, count
 
 
-def _damaged_header(path: Path, offset: int, what: str) -> RawFileError:
+def _make_damage_error(path: Path, offset: int, what: str) -> RawFileError:
+    """Make the error that image data are damaged, with their offset in bytes and the fault."""
     return RawFileError(path, f"damaged: its image data, from byte {offset} of the file on, {what}; {_AGAIN}")
 
 
@@ -191,10 +192,10 @@ def data_fault(
                 stream = find_stream(content[:_HEADER].tobytes())
             except ValueError as error:
                 if directory.is_mosaic:
-                    raise _damaged_header(path, offset, str(error)) from error
+                    raise _make_damage_error(path, offset, str(error)) from error
                 continue  # a preview
             if directory.is_mosaic and directory.compression == tiff.JPEG and content[: len(_SOI)].tobytes() != _SOI:
-                raise _damaged_header(path, offset, "does not begin as a JPEG")
+                raise _make_damage_error(path, offset, "does not begin as a JPEG")
             # CR2 does not say which of its images is the mosaic; no preview is a lossless JPEG.
             if not directory.is_mosaic and stream is None:
                 continue
@@ -265,6 +266,7 @@ def picture_area(mosaic: NDArray[Any]) -> tuple[slice, slice]:
 
 
 def _find_inner(lines: NDArray[Any]) -> slice:
+    """Find the lines between the first and the last one that hold picture."""
     return slice(_count_leading(lines), len(lines) - _count_leading(lines[::-1]))
 
 

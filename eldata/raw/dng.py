@@ -56,10 +56,12 @@ def _pack_directory(entries: Iterable[Entry], at: int) -> bytes:
 
 
 def _text_entry(tag: int, text: str) -> Entry:
+    """Make a directory's entry of a text, which ends with a zero byte."""
     return tag, "s", text.encode() + b"\0"
 
 
 def _split_fractions(values: Iterable[Fraction]) -> tuple[int, ...]:
+    """List the numerator and denominator of each fraction in turn, as TIFF stores them."""
     return tuple(part for value in values for part in (value.numerator, value.denominator))
 
 
@@ -68,6 +70,7 @@ def _as_fraction(value: Fraction | float) -> Fraction:
 
 
 def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[Entry]:
+    """Make the EXIF entries of exposure time, f-number, ISO and date; refuse numbers that EXIF cannot hold."""
     entries: list[Entry] = [(36864, "x", b"0232")]
     for tag, name in ((tiff.EXPOSURE_TIME, "exposure_s"), (tiff.F_NUMBER, "f_number")):
         if getattr(exposure, name) is not None:
@@ -92,7 +95,7 @@ def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[Entry]:
 
 
 def _check_sensor(sensor: Sensor) -> None:
-    """Refuse what LibRaw, when it reads the file, would take for something else."""
+    """Refuse a sensor that LibRaw would read from the file as something else."""
     packed_black_level_dn(sensor.cfa, sensor.black_level_dn)  # refuses CFA and number of levels
     white = sensor.white_level_dn
     if not all(0 <= level <= _LARGEST_DN for level in sensor.black_level_dn):
@@ -111,6 +114,7 @@ def _check_sensor(sensor: Sensor) -> None:
 
 
 def _sensor_entries(sensor: Sensor) -> list[Entry]:
+    """Make the entries of a sensor: CFA, levels, camera, colour matrix and white balance."""
     sites = [index for row in sensor.cfa for index in row]
     period = len(sensor.cfa), len(sensor.cfa[0])
     black = [round_fraction(exact_fraction(sensor.black_level_dn[index]), RATIONAL) for index in sites]
@@ -192,7 +196,7 @@ def write_dng(
         raise ArgumentError(f"{path}: orientation {orientation}: expected EXIF's, 1 to 8")
     made: list[Entry] = [(tiff.ORIENTATION, "H", (orientation,)), _text_entry(tiff.SOFTWARE, software)]
     try:
-        content = _encode(mosaic, sensor, exposure, compression, taken, made)
+        content = _encode_dng(mosaic, sensor, exposure, compression, taken, made)
     except ArgumentError as error:
         raise ArgumentError(f"{path}: {error}") from error
     except (struct.error, ValueError) as error:  # NaN, infinity, or more than 32 bits
@@ -201,7 +205,7 @@ def write_dng(
         file.writelines(content)
 
 
-def _encode(
+def _encode_dng(
     mosaic: NDArray[np.uint16],
     sensor: Sensor,
     exposure: Exposure,
@@ -209,6 +213,7 @@ def _encode(
     taken: datetime | None,
     made: list[Entry],
 ) -> tuple[bytes, bytes, bytes]:
+    """Encode a DNG as three parts to write in order: header and directory, pixels, EXIF."""
     if mosaic.dtype != np.uint16 or mosaic.shape != (sensor.height, sensor.width):
         raise ArgumentError(
             f"expected a uint16 mosaic of {sensor.height} x {sensor.width} pixels as the sensor record says; found "
@@ -227,7 +232,8 @@ def _encode(
     pixels += b"\0" * (len(pixels) % 2)
     stated = _sensor_entries(sensor)
 
-    def head(exif_at: int, pixels_at: int) -> bytes:
+    def pack_head(exif_at: int, pixels_at: int) -> bytes:
+        """Pack the header and the first directory, given the offsets of EXIF and pixels in bytes."""
         image = {tiff.WIDTH: sensor.width, tiff.HEIGHT: sensor.height, tiff.ROWS_PER_STRIP: sensor.height}
         image |= {tiff.STRIPS[0]: pixels_at, tiff.STRIPS[1]: len(pixels), tiff.EXIF_IFD: exif_at}
         short = {tiff.BITS: 16, tiff.COMPRESSION: tiff.JPEG if compression == "lossless-jpeg" else tiff.UNCOMPRESSED}
@@ -236,6 +242,6 @@ def _encode(
         entries += [(tag, "H", (value,)) for tag, value in short.items()]
         return b"II*\0" + struct.pack("<I", 8) + _pack_directory([*entries, *stated, *made], 8)
 
-    begin = len(head(0, 0))  # which stays as long
+    begin = len(pack_head(0, 0))  # which stays as long
     end = begin + len(pixels)
-    return head(end, begin), pixels, _pack_directory(_exif_entries(exposure, taken), end)
+    return pack_head(end, begin), pixels, _pack_directory(_exif_entries(exposure, taken), end)

@@ -65,7 +65,7 @@ class ShotFacts(NamedTuple):
 
 
 def find_doubles(files: Mapping[Path, ShotFacts], workers: AnyWorkers, *, across: bool) -> dict[Path, Path]:
-    """Find the files that show the shot of another one, and that one, which counts.
+    """Find files that repeat a shot, and for each the file that counts.
 
     Of copies, equal byte for byte, the one of the shortest name counts: ``IMG_1.dng`` of ``IMG_1 (1).dng`` beside it,
     or if ``across``, of files of any name and folder. Of files in one folder whose names differ in capitals and
@@ -110,7 +110,7 @@ def no_raws(folder: Path, names: Iterable[str]) -> DatasetError:
 
 
 def of_arrays(suffix: str) -> str:
-    """Advise on files of this extension, if they hold arrays; empty of others."""
+    """Advise on arrays, by a file's extension; empty for other files."""
     if suffix.lower() not in ARRAY_EXTENSIONS:
         return ""
     return (

@@ -214,10 +214,12 @@ def cfa_of_letters(rows: Sequence[str]) -> CfaRows | None:
 
 
 def _repeat_in_blocks(cfa: CfaRows, block: int) -> CfaRows:
+    """Repeat each site of a CFA as ``block`` x ``block`` sites."""
     return tuple(tuple(index for index in row for _ in range(block)) for row in cfa for _ in range(block))
 
 
-def _as_table(sub: int, channel_of: CfaRows) -> NDArray[np.int64]:
+def _list_sites(sub: int, channel_of: CfaRows) -> NDArray[np.int64]:
+    """List a period's sites for kernels, (sites, 5): row, column, packed channel, packed row and column."""
     period = len(channel_of)
     scale = period // sub
     sites = [
@@ -239,11 +241,12 @@ def _block_sites(cfa: CfaRows, block: int, top: int, left: int) -> Sites:
     )
     colours = tuple(index for index in range(len(BAYER_CHANNELS)) for _ in range(count))
     names = BAYER_CHANNELS if block == 1 else names
-    return Sites(_BLOCK_NAMES[block], cfa, 2 * block, 1, top, left, names, _as_table(1, channel_of), colours)
+    return Sites(_BLOCK_NAMES[block], cfa, 2 * block, 1, top, left, names, _list_sites(1, channel_of), colours)
 
 
 @cache
 def _find_sites(cfa: CfaRows) -> Sites | None:
+    """Find how a CFA is packed, as blocks (Bayer, quad, nona) or X-Trans; None if it is neither."""
     period, block = len(cfa), len(cfa) // 2
     if block not in _BLOCK_NAMES or any(len(row) != period for row in cfa):
         return None
@@ -254,7 +257,7 @@ def _find_sites(cfa: CfaRows) -> Sites | None:
             return _block_sites(here, block, top, left)
         if here == XTRANS_CFA:
             colours = tuple("RGB".index(name) for name in XTRANS_CHANNELS)
-            return Sites("X-Trans", here, 6, 2, top, left, XTRANS_CHANNELS, _as_table(2, _XTRANS_CHANNEL), colours)
+            return Sites("X-Trans", here, 6, 2, top, left, XTRANS_CHANNELS, _list_sites(2, _XTRANS_CHANNEL), colours)
     return None
 
 
@@ -319,6 +322,7 @@ def packed_area(shape: tuple[int, int], cfa: Cfa) -> PackedArea:
 
 @lru_cache(maxsize=256)
 def _cached_area(shape: tuple[int, int], sites: Sites) -> PackedArea:
+    """Find the part of a mosaic (H, W) that whole periods of its CFA cover; refuse a mosaic without one."""
     height = (shape[0] - sites.top) // sites.period * sites.period
     width = (shape[1] - sites.left) // sites.period * sites.period
     if height <= 0 or width <= 0:
@@ -344,7 +348,7 @@ def kept_area(mosaic: NDArray[Scalar], sites: Sites) -> NDArray[Scalar]:
 
 
 def with_rows(values: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Give the same values rows that are contiguous in memory, as kernels read them: as they are, or a copy."""
+    """Make rows contiguous in memory, as kernels read them; copy only if they are not."""
     return values if values.strides[-1] == values.itemsize else np.ascontiguousarray(values)
 
 

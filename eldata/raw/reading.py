@@ -132,6 +132,7 @@ def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileE
 
 
 def _read_facts(file: RawContainer, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
+    """Read a container's header and, if it is to be decoded, its sensor or the error of decoding."""
     header = _read_header(file)
     if not decode:
         return header, None
@@ -143,7 +144,7 @@ def _read_facts(file: RawContainer, decode: bool) -> tuple[RawHeader, Sensor | R
 
 
 def _read_container(path: Path) -> RawContainer:
-    """Read what a file's container states, of a file that holds its data and is not known not to work."""
+    """Read a file's container; refuse a truncated or unsupported file."""
     file = read_container(path)
     check_container(file)
     refuse_unsupported(file)
@@ -151,6 +152,7 @@ def _read_container(path: Path) -> RawContainer:
 
 
 def _read_header(file: RawContainer) -> RawHeader:
+    """Read a header that LibRaw can open too, with its remarks and a DNG's mean black and white level, DN."""
     with open_raw(file):  # LibRaw knows it
         if file.main is None:
             return file.header
@@ -200,6 +202,7 @@ def read_raw(path: Path | str | StatedFile) -> RawFrame:
 
 
 def _read_frame(file: RawContainer) -> RawFrame:
+    """Decode a container's mosaic and its sensor's levels and colours; refuse damaged pixels."""
     path, main, header = file.path, file.main, file.header
     remarks = _container_remarks(file)
     check_samples(path, file.directories)
@@ -270,6 +273,7 @@ def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader)
 
 
 def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
+    """Multiply ISO by exposure time in seconds; refuse a file that does not state both."""
     for name, value in (("ISO", frame.exposure.iso), ("exposure time", frame.exposure.exposure_s)):
         if value is None:
             raise RawFileError(frame.path, f"states no {name}, and an exposure ratio needs it: use the original file")
@@ -312,7 +316,7 @@ def open_raw(file: RawContainer, what: str = "decode") -> Iterator[rawpy.RawPy]:
 
 
 def _mend(file: RawContainer) -> bytes | None:
-    """Whole file's bytes as LibRaw reads them right; None if it does so as they are.
+    """Correct a file's bytes for LibRaw; None if it reads them correctly as they are.
 
     It takes the bytes of a CFAPattern's 16-bit numbers for numbers, and strips for rows that follow one another.
     """
@@ -333,6 +337,7 @@ def _mend(file: RawContainer) -> bytes | None:
 
 
 def _open_file(raw: rawpy.RawPy, path: Path) -> None:
+    """Open a file in LibRaw by its path or, if that is not UTF-8, by its content."""
     try:
         raw.open_file(str(path))
     except UnicodeEncodeError:  # rawpy knows names in UTF-8 alone
@@ -494,20 +499,21 @@ def as_shot_multipliers(raw: rawpy.RawPy, first: Directory) -> tuple[float, floa
 def _neutral_of_white(first: Directory) -> NDArray[np.float64] | None:
     """Camera's response to a DNG's AsShotWhiteXY, in R, G, B; None if its tags do not say it."""
 
-    def numbers(tag: int, otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
+    def read_numbers(tag: int, otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Read a tag in the shape of ``otherwise``, which replaces a missing tag or another count of numbers."""
         values = np.array([float(value) for value in first.values.get(tag, ())])
         return values.reshape(otherwise.shape) if values.size == otherwise.size else otherwise
 
-    white = numbers(tiff.AS_SHOT_WHITE_XY, np.zeros(2))
+    white = read_numbers(tiff.AS_SHOT_WHITE_XY, np.zeros(2))
     of_camera, of_profile = ((first.texts.get(tag), first.values.get(tag)) for tag in tiff.SIGNATURES)
     lights = [
-        (_illuminant(first, illuminant), matrix, numbers(tag if of_camera == of_profile else 0, np.eye(3)))
+        (_illuminant(first, illuminant), matrix, read_numbers(tag if of_camera == of_profile else 0, np.eye(3)))
         for (matrix_tag, illuminant), tag in zip(tiff.COLOUR_MATRICES, tiff.CALIBRATIONS, strict=True)
-        if (matrix := numbers(matrix_tag, np.zeros((3, 3)))).any()
+        if (matrix := read_numbers(matrix_tag, np.zeros((3, 3)))).any()
     ]
     if not white[1] > 0 or not lights or _THIRD_MATRIX in first.entries:
         return None
-    neutral = numbers(tiff.ANALOG_BALANCE, np.ones(3)) * neutral_of_white(white[0], white[1], lights)
+    neutral = read_numbers(tiff.ANALOG_BALANCE, np.ones(3)) * neutral_of_white(white[0], white[1], lights)
     return neutral if (neutral > 0).all() else None
 
 

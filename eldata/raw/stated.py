@@ -101,7 +101,7 @@ class StatedFile:
 
         self._check_kind()
         black, white = self.facts.black_level_dn, self.facts.white_level_dn
-        mosaic = self._as_mosaic(
+        mosaic = self._to_mosaic(
             read_array(
                 self.path, partial(_check_declared, self), name=self.facts.array, error=RawFileError, advice=_AGAIN
             )
@@ -115,7 +115,7 @@ class StatedFile:
         return RawFrame(self.path, mosaic, sensor, self.exposure, remarks=border_remarks(mosaic))
 
     def check(self) -> None:
-        """Look at what the file declares, without its pixels; raises like :meth:`read`."""
+        """Check the array that the file declares, without reading pixels; raises like :meth:`read`."""
         from eldata.base.arrays import declared_array
 
         self._check_kind()
@@ -123,10 +123,12 @@ class StatedFile:
         _check_declared(self, declared)
 
     def _check_kind(self) -> None:
+        """Refuse a file without a header, by its extension."""
         if self.path.suffix.lower() not in ARRAY_EXTENSIONS:
             raise UnusableRawError(self.path, "is numbers without a header", "convert it to .npy")
 
-    def _as_mosaic(self, array: NDArray[Any]) -> NDArray[Any]:
+    def _to_mosaic(self, array: NDArray[Any]) -> NDArray[Any]:
+        """Convert an array to a mosaic, uint16 or float32; refuse values that no undamaged file has."""
         import numpy as np
 
         from eldata.raw.damage import mosaic_fault
@@ -147,6 +149,7 @@ class StatedFile:
 
 
 def _check_declared(file: StatedFile, declared: Declared) -> None:
+    """Refuse an array that is no mosaic (H, W) of numbers, or whose type ends below the stated white level."""
     import numpy as np
 
     if len(declared.shape) != 2 or 0 in declared.shape or declared.values not in _VALUES:
@@ -159,6 +162,7 @@ def _check_declared(file: StatedFile, declared: Declared) -> None:
 
 
 def _make_misfit_error(file: StatedFile, misfit: str, largest: float) -> UnusableRawError:
+    """Make the error that values do not fit the card's levels, with levels that would."""
     black = " ".join(f"{level:.4g}" for level in dict.fromkeys(file.facts.black_level_dn))
     return UnusableRawError(
         file.path,

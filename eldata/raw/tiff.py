@@ -204,7 +204,7 @@ def is_dng(directories: Sequence[Directory]) -> bool:
 
 
 def main_mosaics(directories: Sequence[Directory]) -> tuple[Directory, ...]:
-    """Directories of the largest mosaics, in order: one, but of a pixel shift; no proxies."""
+    """Directories of the largest mosaics, in order: one, or several of a pixel shift; no proxies."""
     mosaics = [directory for directory in directories if directory.is_mosaic]
     most = max((directory.pixels for directory in mosaics), default=0)
     largest = [directory for directory in mosaics if directory.pixels == most]
@@ -285,9 +285,11 @@ class TiffReader:
         return first, self._read(at)[0] if at else Directory({})
 
     def _require(self, end: int) -> None:
+        """Refuse the file if it is shorter than ``end`` bytes."""
         require(self._path, self._size, end)
 
-    def _spend(self, what: str, count: int) -> None:
+    def _count_down(self, what: str, count: int) -> None:
+        """Count things that were read, such as directories, and refuse a file with far too many."""
         self._left[what] -= count
         if self._left[what] < 0:
             raise RawFileError(
@@ -298,11 +300,11 @@ class TiffReader:
         """Read the directory at a place, and where the next one is."""
         if at < 0:
             raise RawFileError(self._path, f"damaged: it declares a directory at byte {at}")
-        self._spend("directories", 1)
+        self._count_down("directories", 1)
         self._require(at + 2)
         self._file.seek(at)
         count = struct.unpack(self._order + "H", self._file.read(2))[0]
-        self._spend("entries", count)
+        self._count_down("entries", count)
         self._require(at + 2 + 12 * count)
         table = self._file.read(12 * count + 4)
         values: dict[int, Numbers] = {}
@@ -323,7 +325,7 @@ class TiffReader:
             if tag in OPCODE_LISTS:
                 values[tag] = tuple(self._read_opcodes(range(offset, offset + length))) if length > 4 else ()
             elif kind == ASCII or kind in _CODES:
-                self._spend("values", number)
+                self._count_down("values", number)
                 data = self._read_at(offset, length) if length > 4 else table[12 * index + 8 : 12 * index + 8 + length]
                 if kind == ASCII:
                     texts[tag] = _decode_text(data)
@@ -349,13 +351,14 @@ class TiffReader:
                 raise RawFileError(
                     self._path, f"damaged: its list of opcodes holds more of them than its {len(place)} bytes"
                 )
-            self._spend("values", 1)
+            self._count_down("values", 1)
             opcode, _, _, length = struct.unpack(">4I", self._read_at(at, 16))
             yield opcode
             at += 16 + length
 
 
 def _decode_text(data: bytes) -> str:
+    """Decode text up to its first zero byte, as UTF-8 or else Latin-1."""
     text = data.partition(b"\0")[0]
     try:
         return text.decode().strip()

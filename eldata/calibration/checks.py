@@ -467,6 +467,7 @@ def find_uneven_steps(flats: FlatPairs, transfer: PhotonTransfer) -> Iterator[Fi
 
 
 def _find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
+    """Yield a finding if noise of neighbouring pixels is correlated in the flats."""
     from scipy.special import ndtri
 
     correlation, error = transfer.correlation, transfer.correlation_error

@@ -89,7 +89,8 @@ def sort_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -
     differ in exposure time.
     """
 
-    def header_of(record: FrameRecord) -> RawHeader | EldataError:
+    def read_header(record: FrameRecord) -> RawHeader | EldataError:
+        """Read a frame's header, or return the error."""
         try:
             return frames.header(record)
         except EldataError as error:
@@ -97,7 +98,7 @@ def sort_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -
 
     problems: dict[Fraction | None, list[Problem]] = defaultdict(list)
     headers: dict[FrameRecord, RawHeader] = {}
-    for record, header in zip(frames.records, workers.read_ahead(header_of, frames.records), strict=True):
+    for record, header in zip(frames.records, workers.read_ahead(read_header, frames.records), strict=True):
         if isinstance(header, EldataError):
             problems[record.iso].append(unreadable_problem(record, header))
         else:
@@ -188,7 +189,7 @@ class FrameReader:
 
     def read(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
         """Yield the frames that are like the first one; :meth:`refuse` says what is wrong with the others."""
-        decoded = self.workers.read_ahead(self._read, records)
+        decoded = self.workers.read_ahead(self._decode_crop, records)
         for record in records:  # no zip: it holds on to the last frame while the next one is decoded
             frame = next(decoded)
             self._done()
@@ -220,7 +221,8 @@ class FrameReader:
         )
         return True
 
-    def _read(self, record: FrameRecord) -> RawFrame | RawFileError:
+    def _decode_crop(self, record: FrameRecord) -> RawFrame | RawFileError:
+        """Decode the chosen area of a frame, or return the error."""
         try:
             return crop_frame(self.frames.read(record), self._crop)
         except RawFileError as error:

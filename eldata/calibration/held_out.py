@@ -135,7 +135,7 @@ def reproduction(
     # edges on the steps themselves would tell frames apart by the slightest drift.
     steps = round(fixed.frames * sigmas[1] / 5)
     cell = max(1, steps - 1 + steps % 2) / fixed.frames
-    histograms = [_histogram(ordered, cell) for ordered in values]
+    histograms = [_share_cells(ordered, cell) for ordered in values]
     pixels = np.maximum(sound.sum(axis=1), 1)
     rows = [np.where(sound, residual, 0).sum(axis=1) / pixels for residual in (real, simulated)]
     shown = tuple(
@@ -147,8 +147,8 @@ def reproduction(
         pixels=values[0].size,
         frames=fixed.frames,
         r_squared=float(np.corrcoef(quantiles[0], quantiles[1])[0, 1]) ** 2,
-        histogram_distance=_distance(histograms[0], histograms[1]),
-        histogram_distance_by_chance=_distance(histograms[2], histograms[1]),
+        histogram_distance=_measure_distance(histograms[0], histograms[1]),
+        histogram_distance_by_chance=_measure_distance(histograms[2], histograms[1]),
         sigma_real_dn=sigmas[0],
         sigma_simulated_dn=sigmas[1],
         row_sigma_real_dn=float(rows[0].std()),
@@ -198,6 +198,7 @@ def _simulate(
     options: dict[str, Any] = {"parameters": parameters, "ratio": 1.0, "range_dn": range_dn, "generator": generator}
 
     def make_frame() -> Values:
+        """Simulate a bias frame, in whole DN."""
         noisy = model.on_mosaic(levels, cfa=sensor.cfa, **options)
         return np.asarray(np.rint(noisy.astype(np.float64) * range_dn + black))
 
@@ -208,10 +209,12 @@ def _simulate(
     return first, first - others / frames
 
 
-def _histogram(ordered: Values, cell: float) -> Values:
+def _share_cells(ordered: Values, cell: float) -> Values:
+    """Compute the shares of values in 120 cells around 0, and in two open ones beyond."""
     edges = (np.arange(-60, 61) + 0.5) * cell
     return np.asarray(np.histogram(ordered, [-np.inf, *edges, np.inf])[0] / ordered.size)
 
 
-def _distance(first: Values, second: Values) -> float:
+def _measure_distance(first: Values, second: Values) -> float:
+    """Measure how unlike two histograms are: 0 if equal, 1 if they share no cell."""
     return 0.5 * float(np.abs(first - second).sum())

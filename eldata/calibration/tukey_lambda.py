@@ -219,7 +219,7 @@ def correlation(values: Values, counts: Values, shape: float) -> tuple[float, fl
     below = np.concatenate([[0.0], np.cumsum(counts)]) / total
     above = np.concatenate([np.cumsum(counts[::-1])[::-1], [0.0]]) / total
     weights = counts / total
-    blocks = np.diff(_integral(below, above, shape))
+    blocks = np.diff(_integrate_quantile(below, above, shape))
     # The quantile's spread inside a cell, by quadrature; without the outermost cells, where it has no bound.
     inside = 0.0
     means = blocks[1:-1] / weights[1:-1]
@@ -227,7 +227,7 @@ def correlation(values: Values, counts: Values, shape: float) -> tuple[float, fl
         low, high = below[1:-2] + node * weights[1:-1], above[2:-1] + (1 - node) * weights[1:-1]
         quantiles = tukey_lambda_quantile(low, shape, high)
         inside += share * float(weights[1:-1] @ (quantiles - means) ** 2)
-    return _plot(values, weights, blocks, inside)
+    return _correlate(values, weights, blocks, inside)
 
 
 def normal_correlation(values: Values, counts: Values) -> tuple[float, float]:
@@ -241,10 +241,11 @@ def normal_correlation(values: Values, counts: Values) -> tuple[float, float]:
     blocks, weights = -np.diff(density), counts / total
     second = np.concatenate([[0.0], below - quantiles * density[1:-1], [1.0]])  # the integral of the square
     inside = float((np.diff(second) - blocks**2 / weights)[1:-1].sum())
-    return _plot(values, weights, blocks, inside)
+    return _correlate(values, weights, blocks, inside)
 
 
-def _integral(below: Values, above: Values, shape: float) -> Values:
+def _integrate_quantile(below: Values, above: Values, shape: float) -> Values:
+    """Integrate the quantile function of scale 1 from 0 to each level ``below``; ``above`` = 1 - level."""
     from scipy.special import boxcox
 
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -252,7 +253,8 @@ def _integral(below: Values, above: Values, shape: float) -> Values:
     return np.asarray((terms[0] + terms[1]) / (shape + 1))
 
 
-def _plot(values: Values, weights: Values, blocks: Values, inside: float) -> tuple[float, float]:
+def _correlate(values: Values, weights: Values, blocks: Values, inside: float) -> tuple[float, float]:
+    """Compute correlation and slope of a plot; ``blocks``: each cell's integral of the quantile function."""
     centred = values - float(weights @ values)
     cross = float(centred @ blocks)
     squares = float(blocks @ (blocks / weights)) + inside

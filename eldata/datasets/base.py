@@ -155,6 +155,7 @@ class SourcePairs(CroppedItems[Sample]):
                 self._open_pair(record)
 
     def _open_pair(self, record: PairRecord) -> OpenedPair:
+        """Open a pair's reference and its noisy frame."""
         return self._opener.open_pair(record, self._opener.open_target(record.reference))
 
     def _cached_pair(self, place: int) -> OpenedPair:
@@ -170,6 +171,7 @@ class SourcePairs(CroppedItems[Sample]):
         return self.__dict__ | {"_pairs": {}}  # each process opens those that it reads
 
     def _outline(self) -> list[tuple[str, str]]:
+        """Describe the dataset by names and values: place, pairs, cameras, ISO, ratios, then as for all items."""
         scenes = len({(record.camera, record.scene) for record in self.records})
         named = (("cameras", "camera"), ("splits", "split"), ("ISO", "iso"), ("ratios", "ratio"))
         return [

@@ -81,13 +81,13 @@ def new_batch(fields: Sequence[Field]) -> Batch | None:
 
     In a DataLoader's worker it can be sent without a copy.
     """
-    taken = _pieces(_Piece if get_worker_info() is None else _SharedPiece).take(_size(fields))
+    taken = _own_pieces(_Piece if get_worker_info() is None else _SharedPiece).take(_count_bytes(fields))
     return None if taken is None else Batch(fields, *taken)
 
 
 def new_arrays(fields: Sequence[Field]) -> dict[str, NDArray[Any]]:
     """Return arrays to be filled, by name: memory that is used again if there is some free, for one sample."""
-    taken = _pieces(_Piece).take(_size(fields))
+    taken = _own_pieces(_Piece).take(_count_bytes(fields))
     if taken is None:
         return {field.name: np.empty(field.shape, field.dtype) for field in fields}
     return _arrays(fields, taken[1])
@@ -221,6 +221,7 @@ class _Piece:
         self._lease: weakref.ref[_Lease] | None = None
 
     def _map_memory(self) -> mmap.mmap:
+        """Map memory of the piece's size for this process."""
         private = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
         return mmap.mmap(-1, self.size, **private)
 
@@ -246,6 +247,7 @@ class _SharedPiece(_Piece):
         super().__init__(size)
 
     def _map_memory(self) -> mmap.mmap:
+        """Map memory behind a file descriptor, which other processes can be sent."""
         self._descriptor = os.memfd_create("eldata-batch", os.MFD_CLOEXEC)
         weakref.finalize(self, os.close, self._descriptor).atexit = False
         os.ftruncate(self._descriptor, self.size)
@@ -291,15 +293,17 @@ class _Pieces:
 
 
 @cache
-def _pieces(kind: type[_Piece]) -> _Pieces:
+def _own_pieces(kind: type[_Piece]) -> _Pieces:
+    """Make this process's only collection of pieces of a kind."""
     return _Pieces(kind)
 
 
 if hasattr(os, "register_at_fork"):  # those are the parent's
-    os.register_at_fork(after_in_child=_pieces.cache_clear)
+    os.register_at_fork(after_in_child=_own_pieces.cache_clear)
 
 
-def _size(fields: Sequence[Field]) -> int:
+def _count_bytes(fields: Sequence[Field]) -> int:
+    """Count the bytes of a piece for these arrays: header and aligned contents."""
     return _HEADER_BYTES + sum(-(-field.nbytes // _ALIGNED) * _ALIGNED for field in fields)
 
 

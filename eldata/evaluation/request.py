@@ -317,9 +317,9 @@ def plan_scoring(request: Request, *, unscored: bool = False) -> ScoringPlan:
     """
     protocol = request.protocol
     if isinstance(protocol, ClipProtocol):
-        plan = _clip_plan(request, protocol)
+        plan = _plan_clips(request, protocol)
     else:
-        plan = _image_plan(request, protocol, unscored)
+        plan = _plan_images(request, protocol, unscored)
     if request.dark_shading is not None:
         _check_shading(protocol, plan.pairs, dark_shading_in(request.dark_shading))
     return plan
@@ -345,7 +345,8 @@ def _check_shading(protocol: Protocol, pairs: Sequence[Pair], shading: DarkShadi
 # --- images -----------------------------------------------------------------------------------------------------------
 
 
-def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> ScoringPlan:
+def _plan_images(request: Request, protocol: Protocol, unscored: bool) -> ScoringPlan:
+    """Choose the pairs to score, and state their subset, ratios and flags."""
     records, subsets = request.manifest.records, request.manifest.card.subsets
     set_aside: list[str] = []
     if is_own(request.manifest):
@@ -425,7 +426,7 @@ def _flag_facts(
 # --- clips ------------------------------------------------------------------------------------------------------------
 
 
-def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
+def _plan_clips(request: Request, protocol: ClipProtocol) -> ScoringPlan:
     """Return the windows; the numbering of all frames of their clips is checked."""
     require_folder(request)
     manifest, subsets, subset = request.manifest, request.manifest.card.subsets, None

@@ -140,6 +140,7 @@ def json_object(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _json_safe(value: Any) -> Any:
+    """Replace nan and infinities in nested plain types by ``None`` and text."""
     if isinstance(value, dict):
         return json_object(value)
     if isinstance(value, (list, tuple)):

@@ -177,11 +177,12 @@ def expose_compiled(
             (plane, plane + 1, row, min(row + band, rows)) for plane in range(planes) for row in range(0, rows, band)
         ]
 
-    def fill(piece: tuple[int, int, int, int]) -> None:
+    def fill_piece(piece: tuple[int, int, int, int]) -> None:
+        """Add noise to one piece: its first and last plane and row."""
         marks_of_8 = np.zeros(STRIP // 8, np.uint64)  # one memory seen in two ways, which takes seconds to compile
         add_noise(flat_clean, flat_out, record, marks_of_8.view(np.uint8), marks_of_8, channels, columns, *piece)
 
-    in_threads(fill, pieces, threads)
+    in_threads(fill_piece, pieces, threads)
     return result
 
 
@@ -240,6 +241,7 @@ def _events(clean: NDArray[np.float32], events: Any, out: NDArray[np.float32]) -
 
 @kernel
 def _add_spread(mean: NDArray[np.float32], normal: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    """Write the normal limit of Poisson draws: mean + sqrt(mean) times a standard normal draw."""
     for j in range(out.size):
         out[j] = mean[j] + np.sqrt(mean[j]) * normal[j]
 
@@ -255,12 +257,14 @@ def _compose(
 
 @kernel
 def _compose_noiseless(value: NDArray[np.float32], gain: Any, offset: NDArray[np.float32]) -> None:
+    """Turn events into DN and add the offset, in place."""
     for j in range(value.size):
         value[j] = value[j] * gain + offset[j]
 
 
 @kernel
-def _add_frame(offset: NDArray[np.float32], dark: NDArray[np.float32]) -> None:
+def _add_dark(offset: NDArray[np.float32], dark: NDArray[np.float32]) -> None:
+    """Add a row of a dark frame, in DN, to the offset."""
     for j in range(offset.size):
         offset[j] += dark[j]
 
@@ -387,7 +391,7 @@ def add_noise(
                     here, of_row = row + place, offset[place * width : (place + 1) * width]
                     _lay_offset(of_row, bias, sigma_row, under, period, here, start, row_1, row_2)
                     if dark.size > 0:
-                        _add_frame(of_row, dark[here, start : start + width])
+                        _add_dark(of_row, dark[here, start : start + width])
 
                 if components & (G | G_STAR):
                     words(high, low, read_1, read_2, pixel)

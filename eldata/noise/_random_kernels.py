@@ -148,6 +148,7 @@ _SIN_3, _SIN_4 = _F(-76.58139641), _F(39.76161703)
 
 @kernel
 def _mix(z: Any) -> Any:
+    """Scramble a 64-bit word by SplitMix64's output function."""
     z = (z ^ (z >> _S30)) * _MIX_1
     z = (z ^ (z >> _S27)) * _MIX_2
     return z ^ (z >> _S31)

@@ -147,16 +147,18 @@ class DarkShading:
                 raise ArgumentError(f"{name} is float32 {expected}; found {values.dtype} {values.shape}")
             if not all(np.isfinite(row).all() for row in _rows(values)):
                 raise ArgumentError(f"{name} holds values that are not finite")
-        object.__setattr__(self, "digest", self._digest())
+        object.__setattr__(self, "digest", self._compute_digest())
 
-    def _digest(self) -> str:
-        digest = hashlib.sha256(json_text(self._about(), indent=None).encode())
+    def _compute_digest(self) -> str:
+        """Compute ``sha256:<hex>`` of all facts and pixels."""
+        digest = hashlib.sha256(json_text(self._list_facts(), indent=None).encode())
         for values in (self.slope_dn, self.offset_dn, self.hot):
             for row in _rows(values):
                 digest.update(row.astype(row.dtype.newbyteorder("<"), copy=False).tobytes())
         return f"sha256:{digest.hexdigest()}"
 
-    def _about(self) -> dict[str, Any]:
+    def _list_facts(self) -> dict[str, Any]:
+        """Collect everything but the pixels, as plain JSON types."""
         modes, height, width = self.slope_dn.shape
         return {
             "schema": _SCHEMA_WITH_MODEL if self.model else _SCHEMA,
@@ -309,7 +311,7 @@ class DarkShading:
         EldataError
             If the operating system refuses.
         """
-        about = json_text(self._about() | {"digest": self.digest}, indent=None).encode()
+        about = json_text(self._list_facts() | {"digest": self.digest}, indent=None).encode()
         with atomic_write(path) as file:
             np.savez(
                 file,
@@ -369,16 +371,18 @@ class DarkShading:
 def _read(path: Path) -> tuple[DarkShading, str]:
     """Read a shading and the digest that its file states; declared sizes are checked before anything is loaded."""
 
-    def array(name: str, dtype: str, *shape: int) -> NDArray[Any]:
-        def check(header: Declared) -> None:
+    def load_array(name: str, dtype: str, *shape: int) -> NDArray[Any]:
+        """Load an array of the file; refuse another type or shape. Without a shape it is text, of any length."""
+
+        def check_header(header: Declared) -> None:
             fits = header.shape == shape or (not shape and header.shape <= (_MOST_ABOUT_BYTES,))
             if header.values != dtype or not fits:
                 expected = f"{dtype} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
                 raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
 
-        return read_npz(path, name, check)
+        return read_npz(path, name, check_header)
 
-    top = TextFile(path, ShadingError, _ADVICE, content=array("about", "uint8").tobytes()).json()
+    top = TextFile(path, ShadingError, _ADVICE, content=load_array("about", "uint8").tobytes()).json()
     has_model = top.schema(_SCHEMA, also=(_SCHEMA_WITH_MODEL,)) == _SCHEMA_WITH_MODEL
     known = ("schema", "camera", "source", "cfa", "modes", "height", "width", "isos", "notes", "digest")
     top.only((*known, "model") if has_model else known)
@@ -387,13 +391,13 @@ def _read(path: Path) -> tuple[DarkShading, str]:
     if modes * height * width * 8 > path.stat().st_size:
         raise top.problem("height", f"the file is too small for {modes} x {height} x {width} pixels: truncated?")
     cfa = top.each("cfa", lambda inner, name: inner.each(name, Fields.whole, at_most=3), expected="a list of rows")
-    lines = {name: array(name, "float32", modes, height, width).astype(np.float32, copy=False) for name in _FIELDS}
+    lines = {name: load_array(name, "float32", modes, height, width).astype(np.float32, copy=False) for name in _FIELDS}
     shading = DarkShading(
         camera=top.text("camera"),
         source=top.text("source"),
         cfa=cfa,
         isos=tuple(map(_read_iso, top.objects("isos", fewest=1, expected="a list of at least one ISO"))),
-        hot=array("hot", "bool", height, width),
+        hot=load_array("hot", "bool", height, width),
         notes=top.texts("notes", empty=True),
         model=top.text("model") if has_model else "",
         **lines,
@@ -402,6 +406,7 @@ def _read(path: Path) -> tuple[DarkShading, str]:
 
 
 def _read_iso(fields: Fields) -> ShadingIso:
+    """Read the measurements of one ISO."""
     fields.only(names_of(ShadingIso))
     return ShadingIso(
         iso=fields.number("iso", above=0),
@@ -430,6 +435,7 @@ def dark_shading_in(path: Path) -> DarkShading:
 
 @lru_cache(maxsize=1)
 def _load_cached(path: Path, *_: int) -> DarkShading:
+    """Load a shading again only if the other arguments, the file's time and size, have changed."""
     return DarkShading.load(path)
 
 

@@ -89,7 +89,7 @@ class NoiseParameters:
         above = dict.fromkeys(("gain_dn_per_e", "range_dn", "iso", "quantisation_step_dn"), 0.0)
         for name in self.__slots__:
             value = getattr(self, name)
-            if name != "colour_bias_dn" and (value is not None or name in _names()):
+            if name != "colour_bias_dn" and (value is not None or name in _noise_fields()):
                 checked_number(name, value, above=above.get(name, -math.inf))
             if name.startswith("sigma") and value < 0:
                 raise ArgumentError(f"{name} must not be negative; found {value}")
@@ -115,7 +115,7 @@ class NoiseParameters:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the parameters of the noise by name."""
-        return {name: getattr(self, name) for name in _names()}
+        return {name: getattr(self, name) for name in _noise_fields()}
 
     def rounded(self, dn: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         """Return DN, black level included, as the camera's files hold them: in its steps, and whole."""
@@ -181,7 +181,8 @@ class NoiseDraw:
 
 
 @cache
-def _names() -> tuple[str, ...]:
+def _noise_fields() -> tuple[str, ...]:
+    """List the fields that describe the noise, without range, ISO and step."""
     return tuple(field.name for field in fields(NoiseParameters) if field.compare)
 
 
@@ -215,6 +216,7 @@ def tukey_lambda_variance(tukey_lambda: float) -> float:
 
 
 def _check_generator(generator: Generator) -> None:
+    """Refuse anything but a random generator from numpy or torch."""
     torch = sys.modules.get("torch")
     kinds = (np.random.Generator,) if torch is None else (np.random.Generator, torch.Generator)
     if not isinstance(generator, kinds):

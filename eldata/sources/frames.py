@@ -304,7 +304,7 @@ class Files:
         """
         from eldata.raw.reading import read_raw
 
-        file = self._at(path)
+        file = self._find_file(path)
         try:
             if is_png(path) and isinstance(file, Path):
                 return Frame.of_rgb(read_rgb16(file).transpose(2, 0, 1), str(file))
@@ -315,12 +315,13 @@ class Files:
             raise
         return Frame.of_decoded(raw)
 
-    def _at(self, path: str) -> Path | StatedFile:
+    def _find_file(self, path: str) -> Path | StatedFile:
+        """Find a frame's file, with its card's facts if they are known."""
         return self._files.at(path) if isinstance(self._files, FrameFiles) else self._files.get(path, Path(path))
 
     def packed_file(self, path: str) -> Path | None:
         """Return the file of a packed array, such as synthetic noise is saved in; ``None`` of other frames."""
-        file = self._at(path) if path.endswith(".npy") else None
+        file = self._find_file(path) if path.endswith(".npy") else None
         return file if isinstance(file, Path) else None
 
     def outline(self, path: str, like: Frame, levels: Levels) -> Frame:
@@ -330,7 +331,7 @@ class Files:
         """
         from eldata.raw.reading import read_header
 
-        header = read_header(self._at(path))
+        header = read_header(self._find_file(path))
         is_alike = header.levels_dn is not None and header.levels_dn[1] == like.white_level_dn
         if levels == "metadata" and not is_alike:
             return self.frame(path).without_pixels()

@@ -147,7 +147,7 @@ def calibrate(
 
 
 def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
-    """Return the first ISO of each further gain mode, checked."""
+    """Check the stated first ISOs of the further gain modes: ascending, within the frames' range."""
     low, high = min(frames.isos), max(frames.isos)
     starts = tuple(checked_number("modes", iso, above=float(low)) for iso in modes)
     if any(iso > high for iso in starts) or list(starts) != sorted(set(starts)):

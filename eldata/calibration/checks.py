@@ -244,7 +244,7 @@ def code_step(codes: Counts) -> int:
 
 
 def read_noise_in_steps(residuals: ResidualHistogram, step: int) -> ReadNoise | None:
-    """Estimate the read noise beside rounding to a step of several DN, uniform over it, instead of to whole DN.
+    """Estimate the read noise of values rounded to steps of several DN; rounding errors count as uniform.
 
     ``None`` for a step of 1 DN, or where rounding depends on the noise: where the noise that is found would ripple by a
     fiftieth of its variance from one step to the next.
@@ -257,7 +257,7 @@ def read_noise_in_steps(residuals: ResidualHistogram, step: int) -> ReadNoise | 
 
 
 def take_step(record: IsoCalibration) -> IsoCalibration:
-    """Return the ISO with the read noise without rounding to its step; as it is, if that is not known."""
+    """Replace the ISO's read noise by its estimate without rounding to steps, if that is known."""
     if record.stepped is None:
         return record
     text = (

@@ -137,7 +137,7 @@ def _unlike_its_row(record: FrameRecord, header: RawHeader, model: str) -> Itera
 
 
 def _usual_time(times: Mapping[FrameRecord, Fraction | None], iso: Fraction) -> tuple[Fraction | None, list[Problem]]:
-    """Return the exposure time of most bias frames of an ISO, if any is known, and what is wrong with the others."""
+    """Find the exposure time of most bias frames of an ISO, if any is known, and problems of the others."""
     known = {record: time for record, time in times.items() if time is not None}
     if not known:
         return None, []
@@ -188,7 +188,7 @@ class FrameReader:
         self._digests: dict[bytes, FrameRecord] = {}
 
     def read(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
-        """Yield the frames that are like the first one; :meth:`refuse` says what is wrong with the others."""
+        """Yield the frames that are like the first one; :meth:`refuse` reports the others."""
         decoded = self.workers.read_ahead(self._decode_crop, records)
         for record in records:  # no zip: it holds on to the last frame while the next one is decoded
             frame = next(decoded)
@@ -234,14 +234,14 @@ class FrameReader:
         return next(iter(self._sensors.values()))
 
     def refuse(self) -> None:
-        """Raise what is wrong with the frames so far, if anything is."""
+        """Raise the problems of the frames so far, if there are any."""
         problems = [*self.problems, *odd_sensors(self._sensors), *odd_bias_frames(self.figures)]
         if problems:
             raise FramesError(sorted(problems, key=lambda problem: problem.path))
 
 
 def crop_frame(frame: RawFrame, crop: Crop) -> RawFrame:
-    """Return a part of a frame, whose CFA is that of its own first pixel."""
+    """Crop a frame; the CFA of the part begins at its own first pixel."""
     from eldata.raw.levels import cfa_from
 
     mosaic = np.ascontiguousarray(frame.mosaic[crop])

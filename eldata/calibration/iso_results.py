@@ -201,7 +201,7 @@ def check_acceptance(accept: Iterable[str]) -> tuple[str, ...]:
 
 
 def accept_findings(findings: Iterable[Finding], accept: Collection[str]) -> tuple[Finding, ...]:
-    """Return findings that give with a larger error what accepted checks among them would withhold."""
+    """Change findings of accepted checks: figures get a larger error instead of being withheld."""
     return tuple(
         replace(one, effect="wider", is_accepted=True) if one.is_acceptable and one.check in accept else one
         for one in findings
@@ -328,7 +328,7 @@ class IsoGain:
         return frozenset(quantity for one in self.findings if one.effect == effect for quantity in one.figures)
 
     def symbols(self, effect: Effect) -> str:
-        """Return the symbols of what is withheld, or given with a larger error."""
+        """List the symbols of the figures that are withheld, or given with a larger error."""
         return list_symbols(self.withheld if effect == "withheld" else self.widened)
 
     def why(self, *quantities: Quantity, effect: Effect = "withheld") -> str:
@@ -338,7 +338,7 @@ class IsoGain:
 
     @property
     def all_remarks(self) -> tuple[str, ...]:
-        """Every remark, those of the findings first."""
+        """Every remark, from the findings first."""
         return (*(one.remark for one in self.findings), *self.remarks)
 
     def judge(self, quantity: Quantity, figure: MeasuredFigure, scale: float | None = None) -> MeasuredFigure:

@@ -129,7 +129,7 @@ class Calibration:
 
     @property
     def all_remarks(self) -> tuple[str, ...]:
-        """Every remark, those of one ISO with its ISO in front."""
+        """Every remark; a remark on one ISO has the ISO in front."""
         of_isos = (f"ISO {record.iso:g}: {remark}" for record in self.all_isos for remark in record.all_remarks)
         return (*of_isos, *self.remarks)
 

@@ -105,7 +105,7 @@ class Ripple:
 
     @classmethod
     def of(cls, shape: float, sigma_steps: float) -> Ripple:
-        """Work it out for a Tukey-lambda distribution of this shape, and scale in steps of the values."""
+        """Compute the ripple for a Tukey-lambda distribution of this shape, and scale in steps of the values."""
         if not sigma_steps > _LEAST_SIGMA_STEPS:
             return cls(1.0, math.inf, math.inf)
         if sigma_steps > _MANY_STEPS:
@@ -149,7 +149,7 @@ class ResidualModel:
 
     @property
     def own(self) -> float:
-        """Share of the pixel's own noise."""
+        """Share of the pixel's own noise in its residual."""
         return (1 - 1 / self.frames if self.frames > 1 else 1.0) * (1 - 1 / self.row_pixels)
 
     def tails(self, edges: Values, shape: float, sigma: float) -> Values:
@@ -170,7 +170,7 @@ class ResidualModel:
         return np.maximum(-2 * np.diff(tails, append=0.0), 1e-300)
 
     def _others(self, logs: PchipInterpolator, unit: float) -> Nodes:
-        """Return Z as nodes and weights."""
+        """Return the distribution of other pixels' noise, Z, as nodes and weights."""
         variance = self.own * (1 - self.own) * unit**2
         if variance <= 0:
             return NOTHING

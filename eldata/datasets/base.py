@@ -183,7 +183,7 @@ class SourcePairs(CroppedItems[Sample]):
         ]
 
     def _values(self, field: str) -> str:
-        """Return the distinct values of a field of the records; of many, their number."""
+        """List the distinct values of a field of the records in words; of many, their number."""
         distinct = dict.fromkeys(getattr(record, field) for record in self.records)
         texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]
         return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)} values"

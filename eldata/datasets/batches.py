@@ -105,7 +105,7 @@ class Batch:
         self.tensors = {name: torch.from_numpy(array) for name, array in self.arrays.items()}
 
     def parts(self, samples: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Return the samples, the large tensors being views of the batch; what ``samples`` has of those is ignored."""
+        """Return the samples with views of the batch as their large tensors, whatever ``samples`` hold of these."""
         views = {name: tensor.unbind() for name, tensor in self.tensors.items()}
         return [
             _Part(self, place, sample, {name: views[name][place] for name in sample if name in views})
@@ -127,7 +127,7 @@ class _Part(dict[str, Any]):
         return dict, (dict(self),)
 
     def is_whole(self) -> bool:
-        """Tell whether every view is still the batch's own tensor."""
+        """Check that every view is still the batch's own tensor."""
         return all(self.get(name) is view for name, view in self.views.items())
 
 
@@ -147,7 +147,7 @@ def _collate(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str,
 
 
 def _column(values: list[Any]) -> Any:
-    """Collate small values as torch does, without its search for the right way, which takes most of the time."""
+    """Collate the samples' small values of one name as torch does, but without its slow search for the right way."""
     kinds = set(map(type, values))
     if kinds == {str}:
         return values
@@ -155,7 +155,7 @@ def _column(values: list[Any]) -> Any:
 
 
 def _reduce_batch(whole: _Part) -> tuple[Any, ...]:
-    """Reduce a collated batch to its place in memory and its small values, so that the queue sends no copy."""
+    """Pickle a collated batch as its place in memory and its small values, so that the queue sends no copy."""
     batch = whole.batch
     if whole.place is not None or not whole.is_whole() or not isinstance(batch.piece, _SharedPiece):
         return whole.__reduce__()
@@ -174,7 +174,7 @@ ForkingPickler.register(_Part, _reduce_batch)
 def _receive_batch(
     descriptor: Any, size: int, fields: tuple[Field, ...], others: Mapping[str, Any], order: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Return a batch that another process wrote: unpickled, in the process that reads it."""
+    """Rebuild a batch that another process wrote, when it is unpickled in the process that reads it."""
     number = descriptor.detach()
     try:
         memory = mmap.mmap(number, size)
@@ -308,7 +308,7 @@ def _count_bytes(fields: Sequence[Field]) -> int:
 
 
 def _arrays(fields: Sequence[Field], lease: _Lease) -> dict[str, NDArray[Any]]:
-    """Return arrays one after the other behind the header; each holds the lease."""
+    """Lay out arrays one after the other behind the header; each holds the lease."""
     content = np.asarray(lease)
     arrays: dict[str, NDArray[Any]] = {}
     start = _HEADER_BYTES

@@ -141,7 +141,7 @@ class CleanFrames:
         return frame
 
     def frame(self, index: int) -> Frame:
-        """Return one frame: one of those that are kept, or opened."""
+        """Return one frame, from memory if it is kept, else newly opened."""
         if not self.keep:
             return self.open_frame(index)
         kept = self._kept.pop(index, None)  # threads may read side by side, and find what another one just took
@@ -201,7 +201,7 @@ def _as_path(file: Path | StatedFile) -> Path:
 def _find_frames(
     source: Path | str | Iterable[Path | str | StatedFile], reference: str | None
 ) -> tuple[FrameSource, tuple[str, ...]]:
-    """Find where frames are read, and their names there."""
+    """Find the source of clean frames, files or a store, and the frames' names in it."""
     if not isinstance(source, (str, Path)):
         source = places = list(source)
         if any(map(_holds_frames, places)):
@@ -238,7 +238,7 @@ class _Several:
 
 
 def check_once(names: Sequence[object]) -> None:
-    """Refuse a file that two of the places that were given hold, with a DatasetError."""
+    """Refuse a file that occurs in two of the given places, with a DatasetError."""
     if len(set(names)) < len(names):
         twice = next(name for place, name in enumerate(names) if name in names[:place])
         raise DatasetError(f"{twice}: lies in two of the folders or stores that were given; give each once")
@@ -302,7 +302,7 @@ class Arrays:
         return Frame(mosaic, sites.cfa, self._black_level_dn, self.range_dn, name)
 
     def _read(self, packed: NDArray[Any], rows: slice, columns: slice) -> NDArray[np.float32]:
-        """Return a part of a mosaic, in DN, put together in memory that the next call of this thread overwrites."""
+        """Unpack a part of a mosaic, in DN, into memory that the next call of this thread overwrites."""
         sites, range_dn = self._sites, np.float32(self.range_dn)
         period, scale = sites.period, sites.scale
         top, bottom, _ = rows.indices(packed.shape[1] * scale)

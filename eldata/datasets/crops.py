@@ -88,7 +88,7 @@ def copy_turned(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation,
 
 
 def turn_levels(levels: tuple[float, ...], orientation: Orientation) -> tuple[float, ...]:
-    """Return the levels of a CFA's channels, 3 for X-Trans and else 4, as the channels of the turned mosaic have them.
+    """Reorder the levels of a CFA's channels, 3 for X-Trans and else 4, for the channels of the turned mosaic.
 
     The first green is the one in red's rows. A flip leaves it there; a transpose swaps the two greens and their black
     levels, which may differ by a few DN.
@@ -287,7 +287,7 @@ class Crop:
 
 @lru_cache(maxsize=256)
 def _grid(shape: tuple[int, int], cfa: CfaRows) -> tuple[PackedArea, int, int, CfaRows]:
-    """Return the area that packing keeps, the CFA's period, mosaic pixels per packed one, and the CFA of the area."""
+    """Find the area that packing keeps, the CFA's period, mosaic pixels per packed one, and the CFA of the area."""
     if not cfa:
         return PackedArea(0, 0, *shape), 1, 1, ()
     sites, area = packing_sites(cfa), packed_area(shape, cfa)

@@ -92,17 +92,17 @@ class SharedDraws:
 
 
 def keywords_of(arguments: Mapping[str, Any], *own: str) -> dict[str, Any]:
-    """Collect a constructor's arguments, its first line's ``locals()``, for its base's: all but its ``own``."""
+    """Choose the base constructor's keywords from a constructor's ``locals()``: all but its ``own``."""
     return {name: value for name, value in arguments.items() if name not in ("self", "__class__", *own)}
 
 
 def take_choice(options: dict[str, Any]) -> Choice:
-    """Take the keywords that choose pairs or clips out of others."""
+    """Move the keywords that choose pairs or clips from the options into a Choice."""
     return Choice(**{field.name: options.pop(field.name) for field in fields(Choice)})
 
 
 def checked_index(index: int, length: int) -> int:
-    """Return the index of one of so many items, those from the end counted; of another raise :class:`IndexError`."""
+    """Resolve an index, which may count from the end; raise :class:`IndexError` outside of ``length`` items."""
     if not -length <= index < length:
         raise IndexError(f"index {index} is outside of {length} items")
     return index % length

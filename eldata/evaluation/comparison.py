@@ -261,7 +261,7 @@ def compare(results: Mapping[str, EvaluationResult]) -> Comparison:
 
 
 def _common_kind(results: Sequence[EvaluationResult]) -> Kind:
-    """Return the kind of the first with the columns that all have; a task of another label or direction is another."""
+    """Keep the columns that all results have; tasks of different label or direction are different columns."""
     first, *others = (result.kind for result in results)
     return replace(first, metrics=tuple(m for m in first.metrics if all(m in other.metrics for other in others)))
 

@@ -180,7 +180,7 @@ def choose_frames(frames: Iterable[tuple[str, str, float | None, float]]) -> fro
 
 
 def _spread(members: Sequence[tuple[float, str]], most: int, turn: int) -> Iterator[str]:
-    """Yield paths from all over a list, others each turn and not at equal distances: there the scenes repeat."""
+    """Yield paths spread over a list, others each turn, at unequal distances, since scenes repeat at equal ones."""
     count = min(most, len(members))
     for index in range(count):
         part = (turn + index + 0.5) * _GOLDEN % 1

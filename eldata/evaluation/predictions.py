@@ -58,7 +58,7 @@ def stem_of(path: str) -> str:
 
 
 def is_read(name: str) -> bool:
-    """Check a file's extension against those of predictions."""
+    """Check that a file has an extension of predictions."""
     return Path(name).suffix.lower() in EXTENSIONS
 
 

@@ -266,7 +266,7 @@ def _why_not(row: PublishedRow, mine: EvaluationResult) -> str | None:
 
 
 def _other_scoring(row: PublishedRow, mine: EvaluationResult, differences: list[list[str]]) -> str:
-    """Return in words how a published number was scored differently, by the protocol that is nearest."""
+    """Describe the differences in scoring of a published number, by its protocol that is nearest to the result's."""
     name, theirs = mine.protocol.name, " or ".join(row.protocols)
     nearest = min(differences, key=len)
     more = f" and {len(nearest) - _DIFFERENCES_SHOWN} more" if len(nearest) > _DIFFERENCES_SHOWN else ""
@@ -357,7 +357,7 @@ def _is_within(limits: tuple[float, float], row: PublishedRow, mean: TableRow) -
 
 
 def _write_remarks(alike: list[PublishedRow], tables: PublishedTables) -> list[str]:
-    """Write the notes on published numbers, and their sources with what is not known of them."""
+    """Write the notes on published numbers, their sources, and the open questions on these."""
     notes = [f"note: {row.method}, {row.place}: {row.note}" for row in alike if row.note]
     lines = [line for text in notes for line in wrapped(text)]
     for key in dict.fromkeys(row.source for row in alike):

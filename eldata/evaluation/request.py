@@ -220,7 +220,7 @@ def stated_setting(folder: Path, name: str) -> str | None:
 
 
 def _check_inputs(request: Request, folder: Path) -> None:
-    """Check that the folder's own words on what its predictions were made of do not contradict the request."""
+    """Check that the folder's own file, which states the predictions' inputs, does not contradict the request."""
     protocol = request.protocol
     if protocol.is_of_packed and protocol.pixels == "srgb":
         for name in ("input_space", "response"):

@@ -157,7 +157,7 @@ class EvaluationResult:
         return self.provenance.get("predictions") == THE_INPUT
 
     def scored_unlike(self, other: EvaluationResult | Protocol) -> list[str]:
-        """Return in words how another result or protocol scores differently; nothing if alike.
+        """Describe the differences in scoring of another result or protocol; nothing if alike.
 
         Not counted are the choice of pairs, names, and what came to the same on the scored files (``equal_choices``).
         The noisy input counts where it was scored itself.

@@ -216,7 +216,7 @@ def _figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool)
 
 @lru_cache(maxsize=1024)  # a profile has few shape parameters
 def _powers(shapes: tuple[float, ...]) -> NDArray[np.float32]:
-    """Return the coefficients of a key's images; their last bits depend on how many are solved for at once."""
+    """Fit the coefficients for all images of a batch; their last bits depend on how many there are."""
     return power_coefficients(np.array(shapes, np.float32))
 
 
@@ -271,7 +271,7 @@ def _add_dark(offset: NDArray[np.float32], dark: NDArray[np.float32]) -> None:
 
 @kernel
 def _convert(value: NDArray[np.float32], black: Any, white: Any, step: Any) -> None:
-    """Round to the converter's codes, without the black level: to its steps, and those to whole DN."""
+    """Round to the converter's steps and to whole DN, black level included, and limit to its range."""
     for j in range(value.size):
         code = np.rint(np.rint((value[j] + black) / step) * step)
         code = _ZERO if code < _ZERO else code
@@ -281,7 +281,7 @@ def _convert(value: NDArray[np.float32], black: Any, white: Any, step: Any) -> N
 
 @kernel
 def _finish(value: NDArray[np.float32], out: NDArray[np.float32], scale: Any, low: Any, high: Any) -> None:
-    """Normalise and limit."""
+    """Normalise DN by ``scale``, and limit to ``low`` and ``high``."""
     for j in range(value.size):
         normalised = value[j] * scale
         normalised = low if normalised < low else normalised

@@ -325,7 +325,7 @@ def fetch(
     coarse_entry: NDArray[np.uint64],
     fine_entry: NDArray[np.uint64],
 ) -> None:
-    """Read the tables: only this is not vector code."""
+    """Look up each pixel's entries in both tables: only this is not vector code."""
     for j in range(coarse.size):
         coarse_entry[j] = coarse_table[coarse[j]]
         fine_entry[j] = fine_table[fine[j]]
@@ -340,7 +340,7 @@ def choose(
     fine_entry: NDArray[np.uint64],
     out: NDArray[np.float32],
 ) -> None:
-    """Write the sum of the two values that the entries give."""
+    """Write each pixel's number of events, the sum of the two values that its entries give."""
     for j in range(high.size):
         index = _U4(digits[j] >> _FINE_COUNT_BITS)
         below = _LOW_0
@@ -436,7 +436,7 @@ def _table(log_factorial: NDArray[np.float64], mean: float, bits: int) -> NDArra
 
 
 def _weights(log_factorial: NDArray[np.float64], mean: float, columns: int) -> tuple[int, NDArray[np.int64]]:
-    """Return the first value with a weight, and the weights from there on: integers that add up to 2^32."""
+    """Weigh the values of Poisson(mean): the first with a weight, and weights from there on, integers of sum 2^32."""
     if mean == 0:
         return 0, np.array([_UNITS] + [0] * (columns - 1))
     reach = 8 * mean**0.5 + 32  # far beyond the last value with a weight
@@ -454,7 +454,7 @@ def _weights(log_factorial: NDArray[np.float64], mean: float, columns: int) -> t
 
 
 def _alias(weights: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return each column's threshold and the column that fills it up from there.
+    """Build an alias table from weights: each column's threshold, and the column that fills it up from there.
 
     The columns are filled in one sweep: each light column is topped up by the current heavy one; a heavy column
     that has become light itself is topped up by the next heavy one. Who tops up whom follows from the running

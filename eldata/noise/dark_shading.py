@@ -82,7 +82,7 @@ class ShadingIso:
 
     @property
     def weight(self) -> float:
-        """Of its mean frame in the lines, 1 / DN^2: one over the variance that noise leaves in it."""
+        """Weight of its mean frame in the fit, 1 / DN^2: one over the variance that noise leaves in it."""
         return self.frames / self.sigma_dn**2
 
 
@@ -288,7 +288,7 @@ class DarkShading:
         return math.sqrt(1 / weights.sum() + ((iso - middle) ** 2 / lever if len(mode) > 1 else 0.0))
 
     def leverage(self, iso: float) -> float:
-        """Return h, the share that a bias frame of an ISO has in the shading there, of the frames that it is from.
+        """Compute h, the share that one of the fitted bias frames has in the shading at its own ISO.
 
         Subtracted from such a frame, the shading takes a share of its noise with it: the variance of what is left is
         ``1 - h`` of the frame's own, and ``1 / sqrt(1 - h)`` puts it back. A frame that the shading is not from has
@@ -324,7 +324,7 @@ class DarkShading:
 
     @classmethod
     def of(cls, given: DarkShading | Path | str) -> DarkShading:
-        """Return a dark shading that was given itself, or as its file.
+        """Take a dark shading, or load it from its file.
 
         Raises
         ------
@@ -419,7 +419,7 @@ def _read_iso(fields: Fields) -> ShadingIso:
 
 
 def dark_shading_in(path: Path) -> DarkShading:
-    """Return the dark shading of a file, which a process reads once as long as it stays what it is.
+    """Load the dark shading of a file, once in a process unless the file changes.
 
     Raises
     ------
@@ -440,5 +440,5 @@ def _load_cached(path: Path, *_: int) -> DarkShading:
 
 
 def _rows(values: NDArray[Any]) -> NDArray[Any]:
-    """Return an array as its rows: work on one row at a time takes no memory."""
+    """Flatten an array to its rows, so that work on one row at a time takes no memory."""
     return values.reshape(-1, values.shape[-1])

@@ -42,7 +42,7 @@ class DarkSource(Protocol):
 
     @property
     def dither(self) -> bool:
-        """Whether they are dithered, by U over one step of the values."""
+        """Whether the frames are dithered, by U over one step of their values."""
 
     def draw(
         self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator
@@ -402,7 +402,7 @@ def _count_images(clean: Any) -> int:
 
 
 def _per_image(value: Any, images: int, name: str) -> list[Any]:
-    """Return one value for each image, of one for all or of one for each; of others raise :class:`ArgumentError`."""
+    """Spread one value over all images, or take one for each; of others raise :class:`ArgumentError`."""
     if not isinstance(value, Sequence) and hasattr(value, "tolist"):  # an array or a tensor
         value = value.tolist()
     if isinstance(value, str) or not isinstance(value, Sequence):

@@ -35,7 +35,7 @@ def expose_on_device(
     limits: tuple[float, float] = (-math.inf, math.inf),
     dark: NDArray[np.float32] | None = None,
 ) -> torch.Tensor:
-    """Add noise to ``clean`` (N, C, h, w) float32 on its device; other arguments are as of ``expose_compiled``."""
+    """Add noise to ``clean`` (N, C, h, w) float32 on its device; other arguments as in ``expose_compiled``."""
     device, size = clean.device, clean.shape
 
     def per_image(values: Sequence[float], dtype: torch.dtype = torch.float32) -> torch.Tensor:

@@ -118,7 +118,7 @@ class NoiseParameters:
         return {name: getattr(self, name) for name in _noise_fields()}
 
     def rounded(self, dn: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-        """Return DN, black level included, as the camera's files hold them: in its steps, and whole."""
+        """Round DN, black level included, to the camera's steps and to whole numbers, as its files hold them."""
         return np.asarray(np.rint(np.rint(dn / self.quantisation_step_dn) * self.quantisation_step_dn))
 
 
@@ -227,7 +227,7 @@ def _check_generator(generator: Generator) -> None:
 
 
 def draw_numbers(generator: Generator) -> tuple[list[float], list[float]]:
-    """Return two draws from [0, 1) and three standard normal ones, float64: what one draw of parameters takes."""
+    """Draw two numbers from [0, 1) and three standard normal ones, float64: all that one draw of parameters takes."""
     _check_generator(generator)
     if isinstance(generator, np.random.Generator):
         return generator.random(2).tolist(), generator.standard_normal(3).tolist()

@@ -172,7 +172,7 @@ class ProfileRow:
         return {name: value for name, value in asdict(self).items() if value or name != "frame_bias_dn"}
 
     def parameters(self, range_dn: float | None, step_dn: float = 1.0) -> NoiseParameters | None:
-        """Return the figures as a draw, ``None`` unless K and all scales are known."""
+        """Convert the row to noise parameters; ``None`` unless K and all scales are known."""
         gain, scale, gauss, rows = self.gain_dn_per_e, self.sigma_tl_dn, self.sigma_gauss_dn, self.sigma_row_dn
         if gain is None or scale is None or gauss is None or rows is None:
             return None
@@ -638,7 +638,7 @@ _ASKED_FOR = "one profile with --profile-of-another-camera (profile_of_another_c
 def profile_of(
     camera: str, profiles: Sequence[CameraProfile], *, another: bool = False, otherwise: str = _ASKED_FOR
 ) -> CameraProfile:
-    """Return the profile of a camera: the one rule wherever a profile is to tell the noise of a named camera's frames.
+    """Find a camera's profile among several: the one rule wherever frames of a named camera get noise.
 
     Raises
     ------

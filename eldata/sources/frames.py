@@ -222,7 +222,7 @@ class Frame:
         return replace(self, mosaic=Pixels(self.shape, np.dtype(np.float32), reads))
 
     def without_pixels(self) -> Frame:
-        """Return the frame, its pixels forgotten."""
+        """Copy the frame without its pixels."""
         return replace(self, mosaic=np.broadcast_to(np.uint16(0), self.mosaic.shape))
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
@@ -353,7 +353,7 @@ class Files:
 
 
 def no_folder(folder: Path, card: Card, holds: Iterable[str]) -> DatasetError:
-    """Return the error that a dataset's folder is not there, with what it should hold and where to get it."""
+    """Make the error for a dataset's missing folder: its expected content, and where to get it."""
     known = card.name in known_names()  # the commands do not know a set of the user's own
     commands = f"; eldata info {card.name} says more, eldata download {card.name} fetches or unpacks it"
     return DatasetError(

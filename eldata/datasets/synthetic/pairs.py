@@ -162,7 +162,7 @@ def draw_dark(
 
 
 def check_scale(name: str, sensor: Sensor, camera: str, its_range_dn: float, advice: str) -> None:
-    """Refuse a clean file of other bits than those in whose DN a camera's noise is, by the levels that it states.
+    """Refuse a clean file whose range from black to white is not the range in whose DN a camera's noise is.
 
     Raises
     ------

@@ -426,7 +426,7 @@ class PixelReader:
 
 
 def count_parts(dataset: h5py.Dataset) -> tuple[str, str]:
-    """Return in how many parts a frame's pixels lie, and how many there are: HDF5 reads zeros for a missing one.
+    """Count the parts that a frame's pixels should have, and those in the file: HDF5 reads a missing one as zeros.
 
     A chunk of no bytes is missing; HDF5 would look for its checksum before its beginning.
     """

@@ -119,7 +119,7 @@ def calibrate(
         raise ArgumentError("isos is for a folder; choose them with CalibrationFrames(..., isos=...)")
     workers, accept = Workers.of(workers), check_acceptance(accept)
     stated = stated_gains(frames, gains)
-    starts = None if modes is None else _starts(frames, modes)
+    starts = None if modes is None else _check_starts(frames, modes)
     # The headers of a folder are read here: they are small, and an executor takes whole ISOs.
     chosen = sort_frames(frames, Workers(workers.jobs))
     usable = [
@@ -146,7 +146,7 @@ def calibrate(
     return join_isos(camera or frames.camera, measured, failed, starts, notes)
 
 
-def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
+def _check_starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
     """Check the stated first ISOs of the further gain modes: ascending, within the frames' range."""
     low, high = min(frames.isos), max(frames.isos)
     starts = tuple(checked_number("modes", iso, above=float(low)) for iso in modes)
@@ -261,7 +261,7 @@ def join_isos(
         modes=fitted,
         remarks=tuple(remarks),
         made_profile=None,
-        no_profile=_no_profile(isos) or problem,
+        no_profile=_explain_no_profile(isos) or problem,
         gains=tuple(record for record in everything if not isinstance(record, IsoCalibration)),
         failed=left_out,
     )
@@ -324,7 +324,7 @@ def _find_common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[fl
     return find_common("black", blacks), find_common("white", whites)
 
 
-def _no_profile(isos: Sequence[IsoCalibration]) -> str:
+def _explain_no_profile(isos: Sequence[IsoCalibration]) -> str:
     """Return the reason that these figures make no profile; empty if they make one."""
     if not isos:
         return (

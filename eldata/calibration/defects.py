@@ -258,12 +258,12 @@ def find_floor(stack: BiasStack) -> int | None:
     with none below, but some broken pixels, where that leaves dozens. Noise that ends alike above is as narrow as that.
     """
     lowest, highest = (np.bincount(each[stack.squared_rows].ravel()) for each in (stack.lowest, stack.highest))
-    if _cut_at(highest[::-1]) is not None:
+    if _find_cut(highest[::-1]) is not None:
         return None
-    return _cut_at(lowest)
+    return _find_cut(lowest)
 
 
-def _cut_at(counts: Counts) -> int | None:
+def _find_cut(counts: Counts) -> int | None:
     """Return the value at which counts by value begin, if they are cut off there."""
     below = np.cumsum(counts)
     place = int(np.searchsorted(below, max(_PILE, _REACHING_SHARE * float(below[-1]))))

@@ -172,7 +172,7 @@ class FlatPairs(FrameSums):
             raise ArgumentError(f"flat frames must be {SEGMENT} pixels wide or more; found {first.shape[1]}")
         for frame in (first, second):
             self._count(frame, defects)
-        ratios, every = self._ratios(first, second, defects), np.arange(_LEVELS)
+        ratios, every = self._measure_ratios(first, second, defects), np.arange(_LEVELS)
         for channel in range(self.channels):
             medians = []
             for top in range(0, len(first), _ROWS):
@@ -185,7 +185,7 @@ class FlatPairs(FrameSums):
                     # One after another onto what there is, so that the sums do not depend on the cut into pieces.
                     sums[:, index] = np.bincount(places, np.append(sums[:, index], added))
                 medians.append(figures[:3])
-            self._medians[channel] += _medians(*np.concatenate(medians, axis=1))
+            self._medians[channel] += _pool_medians(*np.concatenate(medians, axis=1))
 
     def _count(self, mosaic: Mosaic, defects: Mask) -> None:
         """Count a frame's values, and measure it by itself, as published."""
@@ -240,7 +240,7 @@ class FlatPairs(FrameSums):
         whole = enough & (clipped == 0)
         return 0.5 * (mean_a + mean_b)[enough], (clipped > 0)[enough], np.stack([one[whole] for one in figures])
 
-    def _ratios(self, first: Mosaic, second: Mosaic, defects: Mask) -> Values:
+    def _measure_ratios(self, first: Mosaic, second: Mosaic, defects: Mask) -> Values:
         """Return the ratio of light between the two frames, by channel; 1 where it is not well known."""
         period = len(self.pattern)
         ratios = np.ones(self.channels)
@@ -308,7 +308,7 @@ class FlatPairs(FrameSums):
         return points[:, self._usable_levels[channel, level]]
 
 
-def _medians(freedom: Values, variance: Values, signal: Values) -> list[tuple[float, float, float]]:
+def _pool_medians(freedom: Values, variance: Values, signal: Values) -> list[tuple[float, float, float]]:
     """Return medians of signal and variance, and the relative error of that, of groups of segments of one brightness.
 
     The median of a variance with n degrees of freedom lies lower than its mean by (1 - 2 / 9n)^3 (Wilson and Hilferty),

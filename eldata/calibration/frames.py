@@ -106,7 +106,7 @@ def sort_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -
     models = Counter(header.model for header in headers.values())
     model = models.most_common(1)[0][0] if models else ""
     for record, header in headers.items():
-        problems[record.iso] += _unlike_its_row(record, header, model)
+        problems[record.iso] += _compare_with_row(record, header, model)
     time_of = {record: header.exposure.exposure_s for record, header in headers.items()}
     sorted_out = []
     for iso in frames.isos:
@@ -120,7 +120,7 @@ def sort_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -
     return tuple(sorted_out)
 
 
-def _unlike_its_row(record: FrameRecord, header: RawHeader, model: str) -> Iterator[Problem]:
+def _compare_with_row(record: FrameRecord, header: RawHeader, model: str) -> Iterator[Problem]:
     """Yield the differences between a file's header and its row, or the camera of most frames."""
     iso, exposure_s, stated = header.exposure.iso, header.exposure.exposure_s, record.exposure_s
     if header.model != model:

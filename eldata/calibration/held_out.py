@@ -98,7 +98,7 @@ class Reproduction:
 
 def compared_piece(mosaic: Mosaic, period: int) -> Mosaic:
     """Return a copy of all that :func:`reproduction` needs: a million pixels in the middle, from a CFA period on."""
-    return mosaic[_middle(mosaic.shape, (_SIDE, _SIDE), period)].copy()
+    return mosaic[_cut_middle(mosaic.shape, (_SIDE, _SIDE), period)].copy()
 
 
 def reproduction(
@@ -111,7 +111,7 @@ def reproduction(
     The pattern's frames have 192 pixels a side or more.
     """
     shape, period = fixed.total_dn.shape, len(fixed.pattern)
-    place = _middle(shape, (_SIDE, _SIDE), period)
+    place = _cut_middle(shape, (_SIDE, _SIDE), period)
     sound = ~fixed.defects[place]
     if held_out.shape == shape:
         held_out = held_out[place]
@@ -140,7 +140,7 @@ def reproduction(
     rows = [np.where(sound, residual, 0).sum(axis=1) / pixels for residual in (real, simulated)]
     shown = tuple(
         slice(part.start - whole.start, part.stop - whole.start)
-        for part, whole in zip(_middle(shape, _SHOWN, period), place, strict=True)
+        for part, whole in zip(_cut_middle(shape, _SHOWN, period), place, strict=True)
     )
     black = by_pixel(np.asarray(sensor.black_level_dn), fixed.pattern, _SHOWN)
     return Reproduction(
@@ -161,7 +161,7 @@ def reproduction(
     )
 
 
-def _middle(shape: tuple[int, ...], side: tuple[int, int], period: int) -> tuple[slice, slice]:
+def _cut_middle(shape: tuple[int, ...], side: tuple[int, int], period: int) -> tuple[slice, slice]:
     """Return a piece in the middle that begins with the CFA's period."""
     rows, columns = (
         slice(start := max(0, (length - size) // 2) // period * period, start + min(size, length))

@@ -275,7 +275,7 @@ def fit_modes(
             )
     fitted = [_fit_mode(part, len(parts) > 1, remarks) for part in parts]
     if starts:
-        fitted = [_extend(lines, start, remarks) for lines, start in zip(fitted, (None, *starts), strict=True)]
+        fitted = [_extend_mode(lines, start, remarks) for lines, start in zip(fitted, (None, *starts), strict=True)]
     limits = [end for lines in fitted for end in lines.mode.iso_range or ()]
     if limits != sorted(limits):  # K does not go with the ISO
         fitted = [replace(lines, mode=replace(lines.mode, iso_range=None)) for lines in fitted]
@@ -312,7 +312,7 @@ def _fit_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: 
     return FittedMode(mode, *(estimate for estimate, _ in fits))
 
 
-def _extend(lines: FittedMode, start: float | None, remarks: list[str]) -> FittedMode:
+def _extend_mode(lines: FittedMode, start: float | None, remarks: list[str]) -> FittedMode:
     """Return a mode that begins where somebody states that it does, below its first measured ISO."""
     mode = lines.mode
     if start is None or mode.iso_range is None or start == mode.iso_range[0]:

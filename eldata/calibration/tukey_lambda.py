@@ -110,14 +110,14 @@ class Ripple:
             return cls(1.0, math.inf, math.inf)
         if sigma_steps > _MANY_STEPS:
             return cls(0.0, 0.0, 0.0)
-        levels, values, chances = _recorded(shape, sigma_steps)
+        levels, values, chances = _round_levels(shape, sigma_steps)
         means = chances @ values
         variances = (chances * (values - means[:, None]) ** 2).sum(axis=1)
         typical, mean_steps = float(variances.mean()), float(np.ptp(means - levels))
         return cls(mean_steps, mean_steps / math.sqrt(typical), float(np.ptp(variances)) / typical)
 
 
-def _recorded(shape: float, sigma_steps: float) -> tuple[Values, Values, Values]:
+def _round_levels(shape: float, sigma_steps: float) -> tuple[Values, Values, Values]:
     """Return levels from 0 to 1 step, recorded values, and the chance of each at each level, (levels, values)."""
     reach = math.ceil(20 + 30 * sigma_steps)
     levels, values = np.arange(16) / 16, np.arange(-reach, reach + 1.0)
@@ -130,7 +130,7 @@ def wave_of_rounding(shape: float, sigma: float, frames: int) -> float:
     """Return the mean of exp(2 pi i mean) over pixels whose levels lie anywhere: rounding draws means to whole DN."""
     if not _LEAST_SIGMA_STEPS < sigma < _MANY_STEPS:
         return float(sigma <= _LEAST_SIGMA_STEPS)
-    _, values, chances = _recorded(shape, sigma)
+    _, values, chances = _round_levels(shape, sigma)
     return float(((chances @ np.exp(2j * math.pi * values / frames)) ** frames).mean().real)
 
 

@@ -177,12 +177,12 @@ class SourcePairs(CroppedItems[Sample]):
         return [
             ("place", self._place),
             ("pairs", f"{len(self.records)} of {scenes} scenes"),
-            *((name, self._values(field)) for name, field in named),
+            *((name, self._list_values(field)) for name, field in named),
             ("values", self._describe_values()),
             *super()._outline(),
         ]
 
-    def _values(self, field: str) -> str:
+    def _list_values(self, field: str) -> str:
         """List the distinct values of a field of the records in words; of many, their number."""
         distinct = dict.fromkeys(getattr(record, field) for record in self.records)
         texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]

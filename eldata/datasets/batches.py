@@ -90,7 +90,7 @@ def new_arrays(fields: Sequence[Field]) -> dict[str, NDArray[Any]]:
     taken = _own_pieces(_Piece).take(_count_bytes(fields))
     if taken is None:
         return {field.name: np.empty(field.shape, field.dtype) for field in fields}
-    return _arrays(fields, taken[1])
+    return _lay_out_arrays(fields, taken[1])
 
 
 class Batch:
@@ -101,7 +101,7 @@ class Batch:
         self.count = self.fields[0].shape[0]
         self.shapes = {field.name: field.shape[1:] for field in self.fields}
         self.piece = piece
-        self.arrays = _arrays(self.fields, lease)
+        self.arrays = _lay_out_arrays(self.fields, lease)
         self.tensors = {name: torch.from_numpy(array) for name, array in self.arrays.items()}
 
     def parts(self, samples: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -140,13 +140,13 @@ def _collate(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str,
         collated: dict[str, Any] = default_collate([dict(part) for part in parts])
         return collated
     content = {
-        name: batch.tensors[name] if name in batch.tensors else _column([part[name] for part in parts])
+        name: batch.tensors[name] if name in batch.tensors else _collate_values([part[name] for part in parts])
         for name in parts[0]
     }
     return _Part(batch, None, content, batch.tensors) if isinstance(batch.piece, _SharedPiece) else content
 
 
-def _column(values: list[Any]) -> Any:
+def _collate_values(values: list[Any]) -> Any:
     """Collate the samples' small values of one name as torch does, but without its slow search for the right way."""
     kinds = set(map(type, values))
     if kinds == {str}:
@@ -182,7 +182,7 @@ def _receive_batch(
         os.close(number)
     lease = _Lease(memory)
     weakref.finalize(lease, _give_back, os.getpid(), memory).atexit = False
-    content = dict(others) | _arrays(fields, lease)
+    content = dict(others) | _lay_out_arrays(fields, lease)
     tensors = {name: torch.from_numpy(value) for name, value in content.items() if isinstance(value, np.ndarray)}
     return {name: tensors.get(name, content[name]) for name in order}
 
@@ -307,7 +307,7 @@ def _count_bytes(fields: Sequence[Field]) -> int:
     return _HEADER_BYTES + sum(-(-field.nbytes // _ALIGNED) * _ALIGNED for field in fields)
 
 
-def _arrays(fields: Sequence[Field], lease: _Lease) -> dict[str, NDArray[Any]]:
+def _lay_out_arrays(fields: Sequence[Field], lease: _Lease) -> dict[str, NDArray[Any]]:
     """Lay out arrays one after the other behind the header; each holds the lease."""
     content = np.asarray(lease)
     arrays: dict[str, NDArray[Any]] = {}

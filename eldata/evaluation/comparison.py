@@ -277,7 +277,7 @@ def _compare_groups(images: Images, metrics: Sequence[registry.Figure], result: 
         places = list_clusters((scores[0] for scores in members), scenes_shared=result.scenes_shared)
         first, *others = zip(*members, strict=True)
         averages = tuple(means(scores, names) for scores in (first, *others))
-        gains = tuple(_differences(first, other, names, places) for other in others)
+        gains = tuple(_subtract(first, other, names, places) for other in others)
         groups.append(Group(camera, ratio, len(members), len(set(places)), averages, gains))
     return tuple(groups)
 
@@ -290,7 +290,7 @@ def _compare_all(
     shared = next(iter(results.values())).scenes_shared
     places = list_clusters((scores[0] for scores in images), scenes_shared=shared)
     pairs = list(combinations(zip(results, zip(*images, strict=True), strict=True), 2))
-    gains = [_differences(first, other, names, places) for (_, first), (_, other) in pairs]
+    gains = [_subtract(first, other, names, places) for (_, first), (_, other) in pairs]
     corrected = iter(holm([difference.p_value for of in gains for difference in of.values()]))
     return tuple(
         Contest(first, other, of, {name: next(corrected) for name in of})
@@ -298,7 +298,7 @@ def _compare_all(
     )
 
 
-def _differences(
+def _subtract(
     first: Sequence[UnitScore], other: Sequence[UnitScore], names: Iterable[str], places: Sequence[Hashable]
 ) -> dict[str, Difference]:
     """Return the differences, the other's scores minus the first's, by the name of the value."""

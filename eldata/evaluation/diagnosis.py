@@ -176,10 +176,10 @@ def choose_frames(frames: Iterable[tuple[str, str, float | None, float]]) -> fro
             parts += [(members, EACH) for members in groups]
         else:
             parts.append(([member for members in groups for member in members], EACH * MOST_FACTORS))
-    return frozenset(path for turn, (members, most) in enumerate(parts) for path in _spread(members, most, turn))
+    return frozenset(path for turn, (members, most) in enumerate(parts) for path in _spread_choice(members, most, turn))
 
 
-def _spread(members: Sequence[tuple[float, str]], most: int, turn: int) -> Iterator[str]:
+def _spread_choice(members: Sequence[tuple[float, str]], most: int, turn: int) -> Iterator[str]:
     """Yield paths spread over a list, others each turn, at unequal distances, since scenes repeat at equal ones."""
     count = min(most, len(members))
     for index in range(count):
@@ -207,7 +207,7 @@ def _find_shared_mistakes(inspections: Sequence[Inspection], fewest: int, depth:
     """Find the mistakes of whole groups: all frames, else a camera's, else a camera and factor's."""
     suspicions = []
     for where, members in _group_by(inspections, _PLACES[depth]).items():
-        shared = _shared_mistake(members, where, fewest)
+        shared = _find_shared_mistake(members, where, fewest)
         if shared is not None:
             suspicions.append(shared)
         elif depth + 1 < len(_PLACES):
@@ -264,7 +264,7 @@ def _group_by(inspections: Sequence[Inspection], key: Callable[[Inspection], Any
     return groups
 
 
-def _shared_mistake(inspections: Sequence[Inspection], where: str, fewest: int) -> Suspicion | None:
+def _find_shared_mistake(inspections: Sequence[Inspection], where: str, fewest: int) -> Suspicion | None:
     """Return the mistake that most of these frames show, if there is one."""
     showing = _group_by(inspections, lambda inspection: inspection.mistake and inspection.mistake.words)
     showing.pop(None, None)

@@ -118,7 +118,7 @@ def cut_margin(blocks: Array, down: int = 0, right: int = 0) -> Array:
     return blocks[:, y : y + side, :, x : x + side].reshape(len(blocks), -1)
 
 
-def _cell_means(blocks: Array) -> Array:
+def _average_cells(blocks: Array) -> Array:
     """Return the means of the cells of 4 x 4 pixels in the blocks without their margin."""
     channels, side, count, _ = blocks.shape
     inner = blocks[:, MARGIN : side - MARGIN, :, MARGIN : side - MARGIN]
@@ -176,7 +176,7 @@ def find_place(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstance
         if least_db == SHIFT_GAIN_DB:
             continue
         agreement = values @ g.T
-        for order in _orders(agreement):
+        for order in _list_orders(agreement):
             error = squared_error(float(agreement[np.arange(len(order)), order].sum()), power)
             both = " and ".join(filter(None, (words, _describe_order(order, now.sensor))))
             candidates.append((error, (f"as if {both}", _undo_order(order, undo), GAIN_DB)))
@@ -212,7 +212,7 @@ def _list_mosaic_entries(cfa: CfaRows, shape: tuple[int, ...]) -> dict[tuple[int
     }
 
 
-def _orders(agreement: Array) -> Iterator[Sequence[int]]:
+def _list_orders(agreement: Array) -> Iterator[Sequence[int]]:
     """Yield orders of channels, likelier ones first: which channel of the reference lies at each place.
 
     Parameters
@@ -334,7 +334,7 @@ def _find_levels(now: Circumstances, sensor: Sensor) -> tuple[float, tuple[float
     return float(np.mean(leveled.black_level_dn)), tuple(whites)
 
 
-def _curves(now: Circumstances) -> Iterator[_Curve]:
+def _list_curves(now: Circumstances) -> Iterator[_Curve]:
     """Yield the curves to try, likelier ones first."""
     encoded, again = "as if encoded for a screen (gamma)", "as if made linear once more (gamma)"
     yield _Curve(encoded, _encode_srgb, _decode_srgb)
@@ -367,12 +367,12 @@ def _curves(now: Circumstances) -> Iterator[_Curve]:
 def find_curve(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstances) -> Undoing | None:
     """Return the mistake on whose curve the mean predictions lie, by level of the reference."""
     rescales = now.protocol.rules.rescaling != "none"
-    response = _Response(_cell_means(g))
-    levels, means = response.levels, response.means(_cell_means(p))
+    response = _Response(_average_cells(g))
+    levels, means = response.levels, response.means(_average_cells(p))
     if len(levels) < _FEWEST_LEVELS:
         return None
     best: tuple[float, Undoing] | None = None
-    for mistake in _curves(now):
+    for mistake in _list_curves(now):
         is_large = mistake.scale is not None and not mistake.is_scale_within(_FAR)
         if mistake.scale is not None and not is_large:
             off = response.factor(means, levels) / mistake.scale
@@ -384,10 +384,10 @@ def find_curve(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstance
         if response.distance(means, mistake.curve(levels), _BRIGHTNESS) > _COARSE * before:
             continue
         if mistake.undo is None:  # exact where the curve is bent within a cell
-            after = response.distance(means, response.means(_cell_means(mistake.curve(g))), _BRIGHTNESS)
+            after = response.distance(means, response.means(_average_cells(mistake.curve(g))), _BRIGHTNESS)
         else:  # where noise is strong too, and of the reference's size
             before = response.distance(levels, means, most)
-            after = response.distance(levels, response.means(_cell_means(mistake.undo(p))), _BRIGHTNESS)
+            after = response.distance(levels, response.means(_average_cells(mistake.undo(p))), _BRIGHTNESS)
         if before > _LEAST_OFF and after < mistake.remains * before and (best is None or after < best[0]):
             best = after, (mistake.words, None if is_large and rescales else mistake.undo, GAIN_DB)
     return None if best is None else best[1]

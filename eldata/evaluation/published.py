@@ -229,14 +229,14 @@ def comparison_table(result: EvaluationResult | Mapping[str, Any], *, name: str 
     rows = [row for row in tables.rows if row.dataset == mine.dataset]
     if not rows:
         return f"no published numbers on {mine.dataset} are known to eldata"
-    reasons = {row: _why_not(row, mine) for row in rows}
+    reasons = {row: _explain_mismatch(row, mine) for row in rows}
     alike = [row for row in rows if reasons[row] is None]
     stated = mine.provenance.get("subset")
     subset = f", subset {stated}" if stated else ""
     lines = [f"published numbers on {mine.dataset}, protocol {mine.protocol.name}{subset}", ""]
     lines += _write_tables(alike, mine, name, tables) or ["None compares with this result.", ""]
     if mine.of_input:
-        lines += [*_input_check([row for row in rows if row.method == NOISY_INPUT], reasons, mine), ""]
+        lines += [*_check_input([row for row in rows if row.method == NOISY_INPUT], reasons, mine), ""]
     if alike:
         lines += _write_remarks(alike, tables)
     others = [row for row in rows if reasons[row] is not None]
@@ -246,13 +246,13 @@ def comparison_table(result: EvaluationResult | Mapping[str, Any], *, name: str 
     return "\n".join(lines).rstrip()
 
 
-def _why_not(row: PublishedRow, mine: EvaluationResult) -> str | None:
+def _explain_mismatch(row: PublishedRow, mine: EvaluationResult) -> str | None:
     """Explain why a published number does not compare with a result; ``None`` if it does."""
     if not row.protocols:
         return f"under no protocol that is known for certain: {row.note}"
     differences = [mine.scored_unlike(PROTOCOLS[name]) for name in row.protocols]
     if [] not in differences:
-        return _other_scoring(row, mine, differences)
+        return _describe_scoring(row, mine, differences)
     mean, subset = _find_mean(row, mine), mine.provenance.get("subset")
     if row.subset != subset:
         return f"published for {_name_subset(row.subset)}; yours is {_name_subset(subset)}"
@@ -265,7 +265,7 @@ def _why_not(row: PublishedRow, mine: EvaluationResult) -> str | None:
     return None
 
 
-def _other_scoring(row: PublishedRow, mine: EvaluationResult, differences: list[list[str]]) -> str:
+def _describe_scoring(row: PublishedRow, mine: EvaluationResult, differences: list[list[str]]) -> str:
     """Describe the differences in scoring of a published number, by its protocol that is nearest to the result's."""
     name, theirs = mine.protocol.name, " or ".join(row.protocols)
     nearest = min(differences, key=len)
@@ -307,7 +307,7 @@ def _write_tables(alike: list[PublishedRow], mine: EvaluationResult, name: str, 
     return lines
 
 
-def _input_check(
+def _check_input(
     published: list[PublishedRow], reasons: dict[PublishedRow, str | None], mine: EvaluationResult
 ) -> list[str]:
     """Compare the noisy input's own scores with the published ones: a sentence per group, and what follows."""

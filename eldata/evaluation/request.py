@@ -136,7 +136,7 @@ def make_request(
         manifest=known,
         folder=known.folder(root),
         predictions=None if predictions is None else Path(predictions),
-        protocol=_state_shading(_protocol(protocol, known), dark_shading),
+        protocol=_state_shading(_choose_protocol(protocol, known), dark_shading),
         cameras=cameras,
         subset=subset,
         ids=ids,
@@ -171,7 +171,7 @@ def is_own(manifest: Manifest) -> bool:
     return manifest.name not in shipped_names() and (default.kind is IMAGES or not default.covers(manifest.name))
 
 
-def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:
+def _choose_protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:
     """Return the protocol to score with, which has to be for the dataset.
 
     A set of one's own may be scored by any protocol of images, and as sequences.
@@ -365,7 +365,7 @@ def _plan_images(request: Request, protocol: Protocol, unscored: bool) -> Scorin
     candidates = choice.pairs(records, subsets)
     pairs = replace(choice, exclude_flags=request.exclude_flags).pairs(records, subsets)
     facts = {"subset": subset, "ratios": sorted({float(pair.ratio) for pair in pairs}), "set_aside": set_aside}
-    flags = _flag_facts(request, (pair.flags for pair in pairs), (pair.flags for pair in candidates))
+    flags = _count_flags(request, (pair.flags for pair in pairs), (pair.flags for pair in candidates))
     return ScoringPlan(pairs, facts | flags)
 
 
@@ -414,7 +414,7 @@ def _check_choice(request: Request, protocol: Protocol) -> None:
         )
 
 
-def _flag_facts(
+def _count_flags(
     request: Request, chosen: Iterable[tuple[str, ...]], candidates: Iterable[tuple[str, ...]]
 ) -> dict[str, dict[str, int]]:
     """Count the chosen pairs with each flag, and the candidates with each of the flags to leave out."""
@@ -465,7 +465,7 @@ def _plan_clips(request: Request, protocol: ClipProtocol) -> ScoringPlan:
     ids = None if request.ids is None else sorted(request.ids)
     flags = ({row.scene: row.flags for row in each if row.role == "noisy"}.values() for each in (rows, candidates))
     facts = {"subset": subset, "ids": ids, "layout": describe_layout(listed)}
-    return ScoringPlan(found, facts | _flag_facts(request, *flags))
+    return ScoringPlan(found, facts | _count_flags(request, *flags))
 
 
 # --- the files --------------------------------------------------------------------------------------------------------

@@ -150,7 +150,7 @@ def expose_compiled(
         return result
     under = images // len(keys)
     table, period = packed_rows(channels)
-    figures = _figures(draws, channels, has_shot_noise=not {"P", "P*"}.isdisjoint(components))
+    figures = _collect_figures(draws, channels, has_shot_noise=not {"P", "P*"}.isdisjoint(components))
     figures["black"], figures["white"] = (0.0, math.inf) if adc is None else (adc.black_level_dn, adc.white_level_dn)
     figures["low"], figures["high"] = limits
     lambdas = figures["tukey_lambda"][:, 0].tolist()
@@ -158,7 +158,7 @@ def expose_compiled(
         components=sum(BITS[name] for name in components),
         converts=adc is not None,
         figures=figures,
-        power=np.concatenate([_powers(tuple(lambdas[first : first + under])) for first in range(0, images, under)]),
+        power=np.concatenate([_fit_powers(tuple(lambdas[first : first + under])) for first in range(0, images, under)]),
         dark=np.empty((images, channels, 0, 0), np.float32) if dark is None else dark,  # None is compiled again
         tables=poisson_tables(),
         row_table=table,
@@ -200,7 +200,7 @@ def prepare() -> None:
         _LOG.warning("eldata compiled its noise model in %.0f s, once for this machine and version", took_s)
 
 
-def _figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool) -> NDArray[np.void]:
+def _collect_figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool) -> NDArray[np.void]:
     """Collect the figures of each packed channel of each image, (N, C)."""
     figures = np.empty((len(draws), channels), FIGURES)
     for name in PARAMETERS:
@@ -215,7 +215,7 @@ def _figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool)
 
 
 @lru_cache(maxsize=1024)  # a profile has few shape parameters
-def _powers(shapes: tuple[float, ...]) -> NDArray[np.float32]:
+def _fit_powers(shapes: tuple[float, ...]) -> NDArray[np.float32]:
     """Fit the coefficients for all images of a batch; their last bits depend on how many there are."""
     return power_coefficients(np.array(shapes, np.float32))
 
@@ -232,7 +232,7 @@ def power_coefficients(shape: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @kernel
-def _events(clean: NDArray[np.float32], events: Any, out: NDArray[np.float32]) -> None:
+def _expect_events(clean: NDArray[np.float32], events: Any, out: NDArray[np.float32]) -> None:
     """Write the mean number of events; below 0 counts as 0, NaN stays."""
     for j in range(clean.size):
         mean = clean[j] * events
@@ -247,7 +247,7 @@ def _add_spread(mean: NDArray[np.float32], normal: NDArray[np.float32], out: NDA
 
 
 @kernel
-def _compose(
+def _compose_noisy(
     value: NDArray[np.float32], gain: Any, sigma: Any, noise: NDArray[np.float32], offset: NDArray[np.float32]
 ) -> None:
     """Turn events into DN and add the read noise and the offset."""
@@ -270,7 +270,7 @@ def _add_dark(offset: NDArray[np.float32], dark: NDArray[np.float32]) -> None:
 
 
 @kernel
-def _convert(value: NDArray[np.float32], black: Any, white: Any, step: Any) -> None:
+def _digitise(value: NDArray[np.float32], black: Any, white: Any, step: Any) -> None:
     """Round to the converter's steps and to whole DN, black level included, and limit to its range."""
     for j in range(value.size):
         code = np.rint(np.rint((value[j] + black) / step) * step)
@@ -280,7 +280,7 @@ def _convert(value: NDArray[np.float32], black: Any, white: Any, step: Any) -> N
 
 
 @kernel
-def _finish(value: NDArray[np.float32], out: NDArray[np.float32], scale: Any, low: Any, high: Any) -> None:
+def _normalise(value: NDArray[np.float32], out: NDArray[np.float32], scale: Any, low: Any, high: Any) -> None:
     """Normalise DN by ``scale``, and limit to ``low`` and ``high``."""
     for j in range(value.size):
         normalised = value[j] * scale
@@ -366,7 +366,7 @@ def add_noise(
                 coarse_entry, fine_entry = entries[0, :size], entries[1, :size]
                 mark, mark_of_8 = marks[:size], marks_of_8[: (size + 7) // 8]
                 pixel = _U8(channel * pixels.size) + _U8(begin)
-                _events(pixels[begin : begin + size], figures.events, mean)
+                _expect_events(pixels[begin : begin + size], figures.events, mean)
                 if components & (P_STAR | U):
                     words(rest_number, dither, rest_1, rest_2, pixel)
                 if components & P_STAR:
@@ -397,18 +397,18 @@ def add_noise(
                     words(high, low, read_1, read_2, pixel)
                     if components & G:
                         gaussian_draws(high, low, noise)
-                        _compose(value, figures.gain_dn_per_e, figures.sigma_gauss_dn, noise, offset)
+                        _compose_noisy(value, figures.gain_dn_per_e, figures.sigma_gauss_dn, noise, offset)
                     else:
                         tukey_lambda_draws(high, low, figures.tukey_lambda, power, tail, noise)
-                        _compose(value, figures.gain_dn_per_e, figures.sigma_tl_dn, noise, offset)
+                        _compose_noisy(value, figures.gain_dn_per_e, figures.sigma_tl_dn, noise, offset)
                 else:
                     _compose_noiseless(value, figures.gain_dn_per_e, offset)
 
                 if components & U:
                     add_uniform(value, dither, figures.quantisation_step_dn)
                 if converts:
-                    _convert(value, figures.black, figures.white, figures.quantisation_step_dn)
-                _finish(value, out[plane, begin : begin + size], figures.scale, figures.low, figures.high)
+                    _digitise(value, figures.black, figures.white, figures.quantisation_step_dn)
+                _normalise(value, out[plane, begin : begin + size], figures.scale, figures.low, figures.high)
 
 
 @kernel

@@ -416,18 +416,18 @@ def poisson_tables() -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
     """
     top = COARSE_STEP * COARSE_COUNT
     log_factorial = np.concatenate(([0.0], np.cumsum(np.log(np.arange(1.0, 2 * top)))))
-    coarse = [_table(log_factorial, float(COARSE_STEP * index), coarse_bits(index)) for index in range(COARSE_COUNT)]
-    fine = [_table(log_factorial, index / FINE_STEPS, FINE_BITS) for index in range(FINE_COUNT)]
+    coarse = [_tabulate(log_factorial, float(COARSE_STEP * index), coarse_bits(index)) for index in range(COARSE_COUNT)]
+    fine = [_tabulate(log_factorial, index / FINE_STEPS, FINE_BITS) for index in range(FINE_COUNT)]
     tables = np.concatenate(coarse), np.concatenate(fine)
     for table in tables:
         table.setflags(write=False)
     return tables
 
 
-def _table(log_factorial: NDArray[np.float64], mean: float, bits: int) -> NDArray[np.uint64]:
+def _tabulate(log_factorial: NDArray[np.float64], mean: float, bits: int) -> NDArray[np.uint64]:
     """Return the alias table of Poisson(mean) with 2^bits columns."""
-    first, weights = _weights(log_factorial, mean, 1 << bits)
-    threshold, other = _alias(weights)
+    first, weights = _weigh_poisson(log_factorial, mean, 1 << bits)
+    threshold, other = _build_alias(weights)
     value = (first + np.arange(weights.size)).astype(np.uint64)
     entry = np.left_shift(threshold.astype(np.uint64), np.uint64(32), dtype=np.uint64)
     entry |= np.left_shift((first + other).astype(np.uint64), np.uint64(16), dtype=np.uint64)
@@ -435,7 +435,7 @@ def _table(log_factorial: NDArray[np.float64], mean: float, bits: int) -> NDArra
     return entry
 
 
-def _weights(log_factorial: NDArray[np.float64], mean: float, columns: int) -> tuple[int, NDArray[np.int64]]:
+def _weigh_poisson(log_factorial: NDArray[np.float64], mean: float, columns: int) -> tuple[int, NDArray[np.int64]]:
     """Weigh the values of Poisson(mean): the first with a weight, and weights from there on, integers of sum 2^32."""
     if mean == 0:
         return 0, np.array([_UNITS] + [0] * (columns - 1))
@@ -453,7 +453,7 @@ def _weights(log_factorial: NDArray[np.float64], mean: float, columns: int) -> t
     return start + first, weights
 
 
-def _alias(weights: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _build_alias(weights: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Build an alias table from weights: each column's threshold, and the column that fills it up from there.
 
     The columns are filled in one sweep: each light column is topped up by the current heavy one; a heavy column

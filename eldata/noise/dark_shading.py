@@ -145,7 +145,7 @@ class DarkShading:
             values: NDArray[np.float32] = getattr(self, name)
             if values.dtype != np.float32 or values.shape != expected:
                 raise ArgumentError(f"{name} is float32 {expected}; found {values.dtype} {values.shape}")
-            if not all(np.isfinite(row).all() for row in _rows(values)):
+            if not all(np.isfinite(row).all() for row in _flatten_rows(values)):
                 raise ArgumentError(f"{name} holds values that are not finite")
         object.__setattr__(self, "digest", self._compute_digest())
 
@@ -153,7 +153,7 @@ class DarkShading:
         """Compute ``sha256:<hex>`` of all facts and pixels."""
         digest = hashlib.sha256(json_text(self._list_facts(), indent=None).encode())
         for values in (self.slope_dn, self.offset_dn, self.hot):
-            for row in _rows(values):
+            for row in _flatten_rows(values):
                 digest.update(row.astype(row.dtype.newbyteorder("<"), copy=False).tobytes())
         return f"sha256:{digest.hexdigest()}"
 
@@ -439,6 +439,6 @@ def _load_cached(path: Path, *_: int) -> DarkShading:
     return DarkShading.load(path)
 
 
-def _rows(values: NDArray[Any]) -> NDArray[Any]:
+def _flatten_rows(values: NDArray[Any]) -> NDArray[Any]:
     """Flatten an array to its rows, so that work on one row at a time takes no memory."""
     return values.reshape(-1, values.shape[-1])

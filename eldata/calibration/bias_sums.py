@@ -187,7 +187,7 @@ class BiasSums:
             raise DatasetError(f"{added} frames were added, the pattern is of {frames}: add the same frames again")
 
     def residuals(self) -> ResidualHistogram:
-        """Return the counts so far.
+        """Return the histogram of the residuals so far.
 
         Raises
         ------

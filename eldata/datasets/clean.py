@@ -401,7 +401,7 @@ class CleanScene(NamedTuple):
         return _as_path(self.file)
 
     def below(self, folder: Path) -> Path | StatedFile:
-        """Return the file, whose path starts in a folder."""
+        """Put a folder before the path of the file."""
         return replace(self.file, path=folder / self.path) if isinstance(self.file, StatedFile) else folder / self.file
 
 

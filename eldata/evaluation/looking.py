@@ -217,7 +217,7 @@ def place_of_difference(errors: Sequence[NDArray[Any]], size: tuple[int, int]) -
 def worst_and_best_images(
     result: EvaluationResult, each: int, *, predictions: Path | None, **where: Any
 ) -> tuple[tuple[str, UnitScore, ScoredImage], ...]:
-    """Return the worst and the best of a result, what they are (``Worst`` or ``Best``) and what to decode of them.
+    """Choose a result's worst and best images, each labelled ``Worst`` or ``Best``, with its files to decode.
 
     Parameters
     ----------

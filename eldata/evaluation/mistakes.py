@@ -112,7 +112,7 @@ class Blocks:
 
 
 def cut_margin(blocks: Array, down: int = 0, right: int = 0) -> Array:
-    """Return the blocks without their margin, or what lies so far from there, (C, entries)."""
+    """Cut the margin off the blocks, or take the pixels so far down and right of there, (C, entries)."""
     side = blocks.shape[1] - 2 * MARGIN
     y, x = MARGIN + down, MARGIN + right
     return blocks[:, y : y + side, :, x : x + side].reshape(len(blocks), -1)

@@ -128,12 +128,12 @@ class EvaluationResult:
 
     @property
     def scored(self) -> int:
-        """How many were scored."""
+        """The number of scored images or clips."""
         return len(self.scores)
 
     @property
     def whole(self) -> TableRow:
-        """The means over all."""
+        """The table's row of means over all."""
         return self.table[-1]
 
     @property

@@ -260,7 +260,7 @@ class FrameSource(Protocol):
 
     @property
     def records(self) -> Sequence[FrameRecord]:
-        """What it holds."""
+        """Records of all frames that it holds."""
 
     def frame(self, path: str) -> Frame:
         """Open the frame of a record."""

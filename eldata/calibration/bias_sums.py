@@ -157,6 +157,7 @@ class BiasSums:
             self._count_residuals(mosaic, rows, squares)
 
     def _add_lines(self, mosaic: Mosaic, rows: Counts, squares: Counts, columns: Counts) -> None:
+        """Keep a frame's means by row, by column and by channel, in DN."""
         frames = self.fixed.frames
         sums, pixels = rows.sum(axis=1), self.row_pixels.sum(axis=1)
         self.squares += float((squares - sums**2 / np.maximum(pixels, 1)).sum()) / frames**2
@@ -170,6 +171,7 @@ class BiasSums:
         self.means_dn.append((values + added) / (of_channel + number))
 
     def _count_residuals(self, mosaic: Mosaic, rows: Counts, squares: Counts) -> None:
+        """Count a frame's residuals, less the means of its channels and rows, by value."""
         fixed = self.fixed
         level, line = levels_and_lines(rows, self.row_pixels)
         by_channel = line[:, None] + level
@@ -185,7 +187,7 @@ class BiasSums:
             raise DatasetError(f"{added} frames were added, the pattern is of {frames}: add the same frames again")
 
     def residuals(self) -> ResidualHistogram:
-        """Return the counts so far.
+        """Return the histogram of the residuals so far.
 
         Raises
         ------
@@ -376,12 +378,13 @@ def row_noise(sums: BiasSums) -> RowNoise:
     pixel_variance = sums.squares / freedom
     rows = sums.rows_dn, sums.row_pixels, sums.row_totals / frames, fixed.pattern
     columns = sums.columns_dn, sums.column_pixels, sums.column_totals / frames, fixed.pattern.T
-    return RowNoise(_line_noise(*rows, pixel_variance), _line_noise(*columns, pixel_variance), pixel_variance)
+    return RowNoise(_measure_lines(*rows, pixel_variance), _measure_lines(*columns, pixel_variance), pixel_variance)
 
 
-def _line_noise(
+def _measure_lines(
     means: list[Values], pixels: Counts, fixed_sums: Values, pattern: Counts, pixel_variance: float
 ) -> LineNoise:
+    """Measure the noise of rows, or of columns, from their means in each frame, and test if it is normal."""
     from scipy import stats
 
     deviations, counts = np.array(means), pixels.sum(axis=1)

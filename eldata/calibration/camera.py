@@ -119,7 +119,7 @@ def calibrate(
         raise ArgumentError("isos is for a folder; choose them with CalibrationFrames(..., isos=...)")
     workers, accept = Workers.of(workers), check_acceptance(accept)
     stated = stated_gains(frames, gains)
-    starts = None if modes is None else _starts(frames, modes)
+    starts = None if modes is None else _check_starts(frames, modes)
     # The headers of a folder are read here: they are small, and an executor takes whole ISOs.
     chosen = sort_frames(frames, Workers(workers.jobs))
     usable = [
@@ -135,7 +135,7 @@ def calibrate(
         why = "around them there is no picture (--crop states another area)" if crop is None else "as stated"
         notes = [f"rows and columns {crop_text(area)} are used, {why}"]
     measured = []
-    for of_iso, outcome in zip(usable, _measure(frames, usable, workers), strict=True):
+    for of_iso, outcome in zip(usable, _calibrate(frames, usable, workers), strict=True):
         if isinstance(outcome, FramesError):
             failed.append(FailedIso(float(of_iso.iso), outcome.problems))
         else:
@@ -146,8 +146,8 @@ def calibrate(
     return join_isos(camera or frames.camera, measured, failed, starts, notes)
 
 
-def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
-    """Return the first ISO of each further gain mode, checked."""
+def _check_starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
+    """Check the stated first ISOs of the further gain modes: ascending, within the frames' range."""
     low, high = min(frames.isos), max(frames.isos)
     starts = tuple(checked_number("modes", iso, above=float(low)) for iso in modes)
     if any(iso > high for iso in starts) or list(starts) != sorted(set(starts)):
@@ -186,7 +186,8 @@ def stated_gains(frames: CalibrationFrames, gains: Mapping[float, float] | Camer
     return stated
 
 
-def _measure(frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers) -> list[IsoGain | FramesError]:
+def _calibrate(frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers) -> list[IsoGain | FramesError]:
+    """Calibrate each ISO, here or by worker processes; an ISO that fails gives its error."""
     label = f"calibrating {frames.camera}"
     if workers.executor is not None:
         # Frames are summed where they are decoded: to send them would take longer than that. Workers have folders of
@@ -194,7 +195,7 @@ def _measure(frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Wo
         there = copy.copy(frames)
         there.root = frames.root.absolute()
         outcomes = workers.attempt(partial(_calibrate_elsewhere, there), chosen, label=label, unit="ISO")
-        return [_as_error(frames, outcome) if isinstance(outcome, Failed) else outcome for outcome in outcomes]
+        return [_to_frames_error(frames, outcome) if isinstance(outcome, Failed) else outcome for outcome in outcomes]
     measured: list[IsoGain | FramesError] = []
     with tqdm(total=sum(map(decodings, chosen)), desc=label, unit="frame", disable=None, leave=False) as bar:
         for of_iso in chosen:
@@ -206,11 +207,13 @@ def _measure(frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Wo
 
 
 def _calibrate_elsewhere(frames: CalibrationFrames, chosen: IsoFrames) -> IsoGain:
+    """Calibrate one ISO in a worker process."""
     require_files(*map(frames.path, chosen.records))
     return calibrate_iso(frames, chosen)
 
 
-def _as_error(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesError:
+def _to_frames_error(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesError:
+    """Turn a failure in a worker into an error of the ISO's frames."""
     if isinstance(failed.error, FramesError):
         return failed.error
     where = f"{frames.camera}, ISO {float(failed.unit.iso):g}"
@@ -258,7 +261,7 @@ def join_isos(
         modes=fitted,
         remarks=tuple(remarks),
         made_profile=None,
-        no_profile=_no_profile(isos) or problem,
+        no_profile=_explain_no_profile(isos) or problem,
         gains=tuple(record for record in everything if not isinstance(record, IsoCalibration)),
         failed=left_out,
     )
@@ -311,6 +314,7 @@ def _find_common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[fl
     least = _LEVELS_APART * (min(whites) - max(blacks))
 
     def find_common(name: str, levels: Sequence[float]) -> float | None:
+        """Find the level that all have, or nearly; else ``None``, with a remark."""
         if max(levels) - min(levels) <= least:
             return float(np.median(levels))
         listed = ", ".join(f"{level:g}" for level in sorted(set(levels))[:6])
@@ -320,7 +324,7 @@ def _find_common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[fl
     return find_common("black", blacks), find_common("white", whites)
 
 
-def _no_profile(isos: Sequence[IsoCalibration]) -> str:
+def _explain_no_profile(isos: Sequence[IsoCalibration]) -> str:
     """Return the reason that these figures make no profile; empty if they make one."""
     if not isos:
         return (
@@ -356,6 +360,7 @@ def check_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, 
     means = {record.iso: float(np.mean(record.bias.bias_dn)) for record in isos if record.colour_bias is not None}
 
     def find_wrong_black(record: IsoCalibration) -> Iterator[Finding]:
+        """Yield a finding if the colour bias at an ISO is unlike the other ISOs'."""
         others = [mean for iso, mean in means.items() if iso != record.iso]
         if record.iso not in means or not others:
             return

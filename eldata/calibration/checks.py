@@ -75,7 +75,7 @@ def bias_findings(
     )
 
 
-def _of_read_noise(read: ReadNoise, share: float) -> dict[Quantity, tuple[float, float]]:
+def _share_errors(read: ReadNoise, share: float) -> dict[Quantity, tuple[float, float]]:
     """Return the share by which each figure of the read noise may be off, and the smallest relative error of them."""
     of_scales = read.sigma_tl_error_dn / read.sigma_tl_dn, read.sigma_gauss_error_dn / read.sigma_gauss_dn
     error = min(read.tukey_lambda_error, *of_scales)
@@ -96,7 +96,7 @@ def _find_light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, r
     _, y, x = np.meshgrid((0, 1), np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
     flat = np.ones((level.size, 1))
     smooth = np.stack([part.ravel() for part in (np.ones_like(x), x, y, x * y, x**2, y**2)], axis=1)
-    slopes = (_slope(level.ravel(), variance, shading, ripple) for shading in (flat, smooth))
+    slopes = (_fit_slope(level.ravel(), variance, shading, ripple) for shading in (flat, smooth))
     statistic, slope, over_dark = max(slopes, key=lambda test: test[0])
     threshold = float(stdtrit(level.size - 7, 1 - CHANCE / 2))
     if statistic <= threshold:
@@ -107,7 +107,7 @@ def _find_light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, r
         f"({slope * statistics.sigma_dn**2:.2g} DN^2 for each DN), which adds {share:.1%} or more to the read noise; "
         "cap the lens, cover the viewfinder, and take them in the dark at the shortest exposure"
     )
-    yield from LIGHT.judge(statistic, threshold, text, _of_read_noise(read, share))
+    yield from LIGHT.judge(statistic, threshold, text, _share_errors(read, share))
     # Half a DN may be in the colour bias, or in loud noise a fifth of its standard deviation.
     if over_dark > max(0.5, 0.2 * statistics.sigma_dn):
         yield LIGHT.withhold(statistic, threshold, text, ("colour bias",), over_dark)
@@ -115,7 +115,7 @@ def _find_light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, r
         yield LIGHT.find(statistic, threshold, text, "wider", ("colour bias",), over_dark)
 
 
-def _slope(level: Values, variance: Values, shading: Values, ripple: Ripple) -> tuple[float, float, float]:
+def _fit_slope(level: Values, variance: Values, shading: Values, ripple: Ripple) -> tuple[float, float, float]:
     """Return t of the slope of variance over level, the slope, and the mean level over the darkest twentieth's.
 
     A variance that ripples with the level by r, from rounding, has a slope over the level in standard deviations of r /
@@ -158,7 +158,7 @@ def _find_correlation(statistics: BiasStatistics, rows: RowNoise, read: ReadNois
     line = rows.rows
     of_pixels = 2 * sum_of(is_clear & (LAGS[:, 0] == 0)) * rows.pixel_variance_dn2 / len(rows.columns.fixed_dn)
     of_rows = math.hypot(share, of_pixels / (2 * max(line.variance_dn2, 1e-12)))
-    shares = {**_of_read_noise(read, share), "row noise": (of_rows, line.relative_error)}
+    shares = {**_share_errors(read, share), "row noise": (of_rows, line.relative_error)}
     largest = correlation[np.abs(correlation).argmax()]
     text = (
         f"neighbouring pixels share noise in the bias frames (correlation {largest:.3f}): the camera or a converter "
@@ -189,7 +189,7 @@ def _find_steps(rows: RowNoise, read: ReadNoise, step_dn: float) -> Iterator[Fin
         "use a raw mode with all bits, or leave this ISO out"
     )
     share = _OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
-    shares = _of_read_noise(read, share)
+    shares = _share_errors(read, share)
     if not step_dn.is_integer():  # the mean does not follow the level evenly
         shares["row noise"] = (share / _OF_LIGHTER_TAILS, rows.rows.relative_error)
     yield from COARSE.judge(step_dn, _UNEVEN_DN, text, shares)
@@ -244,7 +244,7 @@ def code_step(codes: Counts) -> int:
 
 
 def read_noise_in_steps(residuals: ResidualHistogram, step: int) -> ReadNoise | None:
-    """Estimate the read noise beside rounding to a step of several DN, uniform over it, instead of to whole DN.
+    """Estimate the read noise of values rounded to steps of several DN; rounding errors count as uniform.
 
     ``None`` for a step of 1 DN, or where rounding depends on the noise: where the noise that is found would ripple by a
     fiftieth of its variance from one step to the next.
@@ -257,7 +257,7 @@ def read_noise_in_steps(residuals: ResidualHistogram, step: int) -> ReadNoise | 
 
 
 def take_step(record: IsoCalibration) -> IsoCalibration:
-    """Return the ISO with the read noise without rounding to its step; as it is, if that is not known."""
+    """Replace the ISO's read noise by its estimate without rounding to steps, if that is known."""
     if record.stepped is None:
         return record
     text = (
@@ -467,6 +467,7 @@ def find_uneven_steps(flats: FlatPairs, transfer: PhotonTransfer) -> Iterator[Fi
 
 
 def _find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
+    """Yield a finding if noise of neighbouring pixels is correlated in the flats."""
     from scipy.special import ndtri
 
     correlation, error = transfer.correlation, transfer.correlation_error

@@ -258,12 +258,12 @@ def find_floor(stack: BiasStack) -> int | None:
     with none below, but some broken pixels, where that leaves dozens. Noise that ends alike above is as narrow as that.
     """
     lowest, highest = (np.bincount(each[stack.squared_rows].ravel()) for each in (stack.lowest, stack.highest))
-    if _cut_at(highest[::-1]) is not None:
+    if _find_cut(highest[::-1]) is not None:
         return None
-    return _cut_at(lowest)
+    return _find_cut(lowest)
 
 
-def _cut_at(counts: Counts) -> int | None:
+def _find_cut(counts: Counts) -> int | None:
     """Return the value at which counts by value begin, if they are cut off there."""
     below = np.cumsum(counts)
     place = int(np.searchsorted(below, max(_PILE, _REACHING_SHARE * float(below[-1]))))
@@ -299,13 +299,14 @@ def _block_moments(total: NDArray[np.uint32], sound: Mask, grid: tuple[int, ...]
     for place, top in enumerate(range(0, len(total), _BLOCK)):  # a band at a time, for the memory
         band, used = total[top : top + _BLOCK], sound[top : top + _BLOCK]
 
-        def by_block(values: NDArray[Any], used: Mask = used) -> NDArray[Any]:
+        def sum_by_block(values: NDArray[Any], used: Mask = used) -> NDArray[Any]:
+            """Sum the used values of a band over each block of columns."""
             return np.asarray(np.add.reduceat(values.sum(axis=0, where=used), columns))
 
         there = slice(len(columns))
-        count[place, there] = by_block(used)
-        means[place, there] = by_block(band) / np.maximum(count[place, there], 1)
-        squares[place, there] = by_block((band - np.repeat(means[place], _BLOCK)[: band.shape[1]]) ** 2)
+        count[place, there] = sum_by_block(used)
+        means[place, there] = sum_by_block(band) / np.maximum(count[place, there], 1)
+        squares[place, there] = sum_by_block((band - np.repeat(means[place], _BLOCK)[: band.shape[1]]) ** 2)
     return count, means, squares
 
 

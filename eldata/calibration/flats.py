@@ -172,7 +172,7 @@ class FlatPairs(FrameSums):
             raise ArgumentError(f"flat frames must be {SEGMENT} pixels wide or more; found {first.shape[1]}")
         for frame in (first, second):
             self._count(frame, defects)
-        ratios, every = self._ratios(first, second, defects), np.arange(_LEVELS)
+        ratios, every = self._measure_ratios(first, second, defects), np.arange(_LEVELS)
         for channel in range(self.channels):
             medians = []
             for top in range(0, len(first), _ROWS):
@@ -185,7 +185,7 @@ class FlatPairs(FrameSums):
                     # One after another onto what there is, so that the sums do not depend on the cut into pieces.
                     sums[:, index] = np.bincount(places, np.append(sums[:, index], added))
                 medians.append(figures[:3])
-            self._medians[channel] += _medians(*np.concatenate(medians, axis=1))
+            self._medians[channel] += _pool_medians(*np.concatenate(medians, axis=1))
 
     def _count(self, mosaic: Mosaic, defects: Mask) -> None:
         """Count a frame's values, and measure it by itself, as published."""
@@ -240,7 +240,7 @@ class FlatPairs(FrameSums):
         whole = enough & (clipped == 0)
         return 0.5 * (mean_a + mean_b)[enough], (clipped > 0)[enough], np.stack([one[whole] for one in figures])
 
-    def _ratios(self, first: Mosaic, second: Mosaic, defects: Mask) -> Values:
+    def _measure_ratios(self, first: Mosaic, second: Mosaic, defects: Mask) -> Values:
         """Return the ratio of light between the two frames, by channel; 1 where it is not well known."""
         period = len(self.pattern)
         ratios = np.ones(self.channels)
@@ -263,12 +263,12 @@ class FlatPairs(FrameSums):
     def left_out(self) -> float:
         """Share of the measurements in levels that are left out as saturated, clipped segments included."""
         total = int(self._segments.sum())
-        return 1 - float(self._segments[self._usable, 0].sum()) / total if total else 0.0
+        return 1 - float(self._segments[self._usable_levels, 0].sum()) / total if total else 0.0
 
     @property
     def correlation(self) -> tuple[float, float]:
         """Correlation of neighbours of one colour in the differences, and its standard error: 0 in honest frames."""
-        chosen = self._usable
+        chosen = self._usable_levels
         variance = self._sums[chosen, 1] / self._sums[chosen, 0]
         neighbours, products = self._sums[chosen, 3], self._sums[chosen, 4]
         total = float(neighbours.sum())
@@ -277,13 +277,14 @@ class FlatPairs(FrameSums):
         return float((products / variance).sum()) / total, total**-0.5
 
     @property
-    def _usable(self) -> Mask:
+    def _usable_levels(self) -> Mask:
+        """Mask of the levels, by channel, that have measurements, few of them clipped."""
         whole, clipped = np.moveaxis(self._segments, 2, 0)
         return np.asarray((self._sums[:, :, 0] > 0) & (clipped <= CLIPPED_SHARE * (whole + clipped)))
 
     def points(self, channel: int) -> tuple[Values, Values, Values]:
         """Return signal (DN over black), variance (DN^2) and degrees of freedom of a channel's usable levels."""
-        freedom, variance, mean = self._sums[channel, self._usable[channel], :3].T
+        freedom, variance, mean = self._sums[channel, self._usable_levels[channel], :3].T
         return mean / freedom, variance / freedom, freedom
 
     def scatter(self, channel: int) -> tuple[Values, Counts]:
@@ -292,7 +293,7 @@ class FlatPairs(FrameSums):
         The mean square deviation of the segments' own variances from their level's, times their degrees of freedom,
         DN^4.
         """
-        chosen = self._usable[channel]
+        chosen = self._usable_levels[channel]
         segments = self._segments[channel, chosen, 0]
         freedom, variance, squares = self._sums[channel, chosen][:, [0, 1, 5]].T
         return (squares - variance**2 / freedom) / np.maximum(segments - 1, 1), segments
@@ -304,10 +305,10 @@ class FlatPairs(FrameSums):
         """
         points = np.array(self._medians[channel]).reshape(-1, 3).T
         level = np.clip((points[0] / self._level_dn).astype(np.int64), 0, _LEVELS - 1)
-        return points[:, self._usable[channel, level]]
+        return points[:, self._usable_levels[channel, level]]
 
 
-def _medians(freedom: Values, variance: Values, signal: Values) -> list[tuple[float, float, float]]:
+def _pool_medians(freedom: Values, variance: Values, signal: Values) -> list[tuple[float, float, float]]:
     """Return medians of signal and variance, and the relative error of that, of groups of segments of one brightness.
 
     The median of a variance with n degrees of freedom lies lower than its mean by (1 - 2 / 9n)^3 (Wilson and Hilferty),
@@ -415,6 +416,7 @@ def spatial_photon_transfer(flats: FlatPairs) -> PhotonTransfer:
 
 
 def _fit_plain_line(points: Sequence[tuple[float, float]], channel: int) -> PhotonTransferLine:
+    """Fit a line to (signal, variance) of single frames of one channel, all of equal weight."""
     signal, variance = np.array(points, dtype=np.float64).reshape(-1, 2).T
     if len(signal) < 3 or not np.ptp(signal) > 0:
         raise DatasetError(

@@ -89,7 +89,8 @@ def sort_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -
     differ in exposure time.
     """
 
-    def header_of(record: FrameRecord) -> RawHeader | EldataError:
+    def read_header(record: FrameRecord) -> RawHeader | EldataError:
+        """Read a frame's header, or return the error."""
         try:
             return frames.header(record)
         except EldataError as error:
@@ -97,7 +98,7 @@ def sort_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -
 
     problems: dict[Fraction | None, list[Problem]] = defaultdict(list)
     headers: dict[FrameRecord, RawHeader] = {}
-    for record, header in zip(frames.records, workers.read_ahead(header_of, frames.records), strict=True):
+    for record, header in zip(frames.records, workers.read_ahead(read_header, frames.records), strict=True):
         if isinstance(header, EldataError):
             problems[record.iso].append(unreadable_problem(record, header))
         else:
@@ -105,7 +106,7 @@ def sort_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -
     models = Counter(header.model for header in headers.values())
     model = models.most_common(1)[0][0] if models else ""
     for record, header in headers.items():
-        problems[record.iso] += _unlike_its_row(record, header, model)
+        problems[record.iso] += _compare_with_row(record, header, model)
     time_of = {record: header.exposure.exposure_s for record, header in headers.items()}
     sorted_out = []
     for iso in frames.isos:
@@ -119,7 +120,7 @@ def sort_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -
     return tuple(sorted_out)
 
 
-def _unlike_its_row(record: FrameRecord, header: RawHeader, model: str) -> Iterator[Problem]:
+def _compare_with_row(record: FrameRecord, header: RawHeader, model: str) -> Iterator[Problem]:
     """Yield the differences between a file's header and its row, or the camera of most frames."""
     iso, exposure_s, stated = header.exposure.iso, header.exposure.exposure_s, record.exposure_s
     if header.model != model:
@@ -136,7 +137,7 @@ def _unlike_its_row(record: FrameRecord, header: RawHeader, model: str) -> Itera
 
 
 def _usual_time(times: Mapping[FrameRecord, Fraction | None], iso: Fraction) -> tuple[Fraction | None, list[Problem]]:
-    """Return the exposure time of most bias frames of an ISO, if any is known, and what is wrong with the others."""
+    """Find the exposure time of most bias frames of an ISO, if any is known, and problems of the others."""
     known = {record: time for record, time in times.items() if time is not None}
     if not known:
         return None, []
@@ -187,8 +188,8 @@ class FrameReader:
         self._digests: dict[bytes, FrameRecord] = {}
 
     def read(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
-        """Yield the frames that are like the first one; :meth:`refuse` says what is wrong with the others."""
-        decoded = self.workers.read_ahead(self._read, records)
+        """Yield the frames that are like the first one; :meth:`refuse` reports the others."""
+        decoded = self.workers.read_ahead(self._decode_crop, records)
         for record in records:  # no zip: it holds on to the last frame while the next one is decoded
             frame = next(decoded)
             self._done()
@@ -220,7 +221,8 @@ class FrameReader:
         )
         return True
 
-    def _read(self, record: FrameRecord) -> RawFrame | RawFileError:
+    def _decode_crop(self, record: FrameRecord) -> RawFrame | RawFileError:
+        """Decode the chosen area of a frame, or return the error."""
         try:
             return crop_frame(self.frames.read(record), self._crop)
         except RawFileError as error:
@@ -232,14 +234,14 @@ class FrameReader:
         return next(iter(self._sensors.values()))
 
     def refuse(self) -> None:
-        """Raise what is wrong with the frames so far, if anything is."""
+        """Raise the problems of the frames so far, if there are any."""
         problems = [*self.problems, *odd_sensors(self._sensors), *odd_bias_frames(self.figures)]
         if problems:
             raise FramesError(sorted(problems, key=lambda problem: problem.path))
 
 
 def crop_frame(frame: RawFrame, crop: Crop) -> RawFrame:
-    """Return a part of a frame, whose CFA is that of its own first pixel."""
+    """Crop a frame; the CFA of the part begins at its own first pixel."""
     from eldata.raw.levels import cfa_from
 
     mosaic = np.ascontiguousarray(frame.mosaic[crop])

@@ -98,7 +98,7 @@ class Reproduction:
 
 def compared_piece(mosaic: Mosaic, period: int) -> Mosaic:
     """Return a copy of all that :func:`reproduction` needs: a million pixels in the middle, from a CFA period on."""
-    return mosaic[_middle(mosaic.shape, (_SIDE, _SIDE), period)].copy()
+    return mosaic[_cut_middle(mosaic.shape, (_SIDE, _SIDE), period)].copy()
 
 
 def reproduction(
@@ -111,7 +111,7 @@ def reproduction(
     The pattern's frames have 192 pixels a side or more.
     """
     shape, period = fixed.total_dn.shape, len(fixed.pattern)
-    place = _middle(shape, (_SIDE, _SIDE), period)
+    place = _cut_middle(shape, (_SIDE, _SIDE), period)
     sound = ~fixed.defects[place]
     if held_out.shape == shape:
         held_out = held_out[place]
@@ -135,20 +135,20 @@ def reproduction(
     # edges on the steps themselves would tell frames apart by the slightest drift.
     steps = round(fixed.frames * sigmas[1] / 5)
     cell = max(1, steps - 1 + steps % 2) / fixed.frames
-    histograms = [_histogram(ordered, cell) for ordered in values]
+    histograms = [_share_cells(ordered, cell) for ordered in values]
     pixels = np.maximum(sound.sum(axis=1), 1)
     rows = [np.where(sound, residual, 0).sum(axis=1) / pixels for residual in (real, simulated)]
     shown = tuple(
         slice(part.start - whole.start, part.stop - whole.start)
-        for part, whole in zip(_middle(shape, _SHOWN, period), place, strict=True)
+        for part, whole in zip(_cut_middle(shape, _SHOWN, period), place, strict=True)
     )
     black = by_pixel(np.asarray(sensor.black_level_dn), fixed.pattern, _SHOWN)
     return Reproduction(
         pixels=values[0].size,
         frames=fixed.frames,
         r_squared=float(np.corrcoef(quantiles[0], quantiles[1])[0, 1]) ** 2,
-        histogram_distance=_distance(histograms[0], histograms[1]),
-        histogram_distance_by_chance=_distance(histograms[2], histograms[1]),
+        histogram_distance=_measure_distance(histograms[0], histograms[1]),
+        histogram_distance_by_chance=_measure_distance(histograms[2], histograms[1]),
         sigma_real_dn=sigmas[0],
         sigma_simulated_dn=sigmas[1],
         row_sigma_real_dn=float(rows[0].std()),
@@ -161,7 +161,7 @@ def reproduction(
     )
 
 
-def _middle(shape: tuple[int, ...], side: tuple[int, int], period: int) -> tuple[slice, slice]:
+def _cut_middle(shape: tuple[int, ...], side: tuple[int, int], period: int) -> tuple[slice, slice]:
     """Return a piece in the middle that begins with the CFA's period."""
     rows, columns = (
         slice(start := max(0, (length - size) // 2) // period * period, start + min(size, length))
@@ -198,6 +198,7 @@ def _simulate(
     options: dict[str, Any] = {"parameters": parameters, "ratio": 1.0, "range_dn": range_dn, "generator": generator}
 
     def make_frame() -> Values:
+        """Simulate a bias frame, in whole DN."""
         noisy = model.on_mosaic(levels, cfa=sensor.cfa, **options)
         return np.asarray(np.rint(noisy.astype(np.float64) * range_dn + black))
 
@@ -208,10 +209,12 @@ def _simulate(
     return first, first - others / frames
 
 
-def _histogram(ordered: Values, cell: float) -> Values:
+def _share_cells(ordered: Values, cell: float) -> Values:
+    """Compute the shares of values in 120 cells around 0, and in two open ones beyond."""
     edges = (np.arange(-60, 61) + 0.5) * cell
     return np.asarray(np.histogram(ordered, [-np.inf, *edges, np.inf])[0] / ordered.size)
 
 
-def _distance(first: Values, second: Values) -> float:
+def _measure_distance(first: Values, second: Values) -> float:
+    """Measure how unlike two histograms are: 0 if equal, 1 if they share no cell."""
     return 0.5 * float(np.abs(first - second).sum())

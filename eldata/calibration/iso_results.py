@@ -201,7 +201,7 @@ def check_acceptance(accept: Iterable[str]) -> tuple[str, ...]:
 
 
 def accept_findings(findings: Iterable[Finding], accept: Collection[str]) -> tuple[Finding, ...]:
-    """Return findings that give with a larger error what accepted checks among them would withhold."""
+    """Change findings of accepted checks: figures get a larger error instead of being withheld."""
     return tuple(
         replace(one, effect="wider", is_accepted=True) if one.is_acceptable and one.check in accept else one
         for one in findings
@@ -316,18 +316,19 @@ class IsoGain:
     @property
     def withheld(self) -> frozenset[Quantity]:
         """What is not given, since an assumption that it rests on does not hold."""
-        return self._touched("withheld")
+        return self._collect_figures("withheld")
 
     @property
     def widened(self) -> frozenset[Quantity]:
         """What is given with an error made larger, since an assumption holds only nearly."""
-        return self._touched("wider") - self.withheld
+        return self._collect_figures("wider") - self.withheld
 
-    def _touched(self, effect: Effect) -> frozenset[Quantity]:
+    def _collect_figures(self, effect: Effect) -> frozenset[Quantity]:
+        """Collect the figures that findings of one effect, such as ``withheld``, concern."""
         return frozenset(quantity for one in self.findings if one.effect == effect for quantity in one.figures)
 
     def symbols(self, effect: Effect) -> str:
-        """Return the symbols of what is withheld, or given with a larger error."""
+        """List the symbols of the figures that are withheld, or given with a larger error."""
         return list_symbols(self.withheld if effect == "withheld" else self.widened)
 
     def why(self, *quantities: Quantity, effect: Effect = "withheld") -> str:
@@ -337,7 +338,7 @@ class IsoGain:
 
     @property
     def all_remarks(self) -> tuple[str, ...]:
-        """Every remark, those of the findings first."""
+        """Every remark, from the findings first."""
         return (*(one.remark for one in self.findings), *self.remarks)
 
     def judge(self, quantity: Quantity, figure: MeasuredFigure, scale: float | None = None) -> MeasuredFigure:
@@ -482,9 +483,11 @@ class IsoCalibration(IsoGain):
         read, rows, columns = self.read, self.rows.rows, self.rows.columns
 
         def of_read(label: str, name: str, error: str = "", **options: Any) -> MeasuredFigure:
+            """Make a figure of the read noise by its field's name; nan if it is not known."""
             return MeasuredFigure(name, label, getattr(read, name, math.nan), getattr(read, error, math.nan), **options)
 
         def of_lines(label: str, name: str, noise: LineNoise) -> MeasuredFigure:
+            """Make the figure sigma of the row or the column noise."""
             return MeasuredFigure(name, label, noise.sigma_dn, noise.sigma_error_dn, unit="DN")
 
         of_frame, of_normal, _ = self.single_frame or (math.nan,) * 3

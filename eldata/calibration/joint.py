@@ -167,14 +167,14 @@ def find_steps(isos: Sequence[IsoCalibration]) -> list[tuple[float, Finding]]:
     known = sorted((record for record in isos if record.gain is not None), key=attrgetter("iso"))
     steps = []
     for before, after in pairwise(known):
-        off = math.log(_gain(after) / _gain(before) * before.iso / after.iso)
+        off = math.log(_find_k(after) / _find_k(before) * before.iso / after.iso)
         error = math.hypot(_relative_error(before.gain), _relative_error(after.gain))
         threshold = max(_LEAST_STEP_OF_GAIN, _SURELY * error)
         if abs(off) > threshold:
             change = f"K over the ISO changes by {math.expm1(off):+.0%}"
             steps.append(_describe_step(before, after, change, off, threshold))
     noisy = [(record, noise) for record in known if (noise := record.sigma_gauss_dn) is not None and noise.value > 0]
-    for (before, noise), (after, its_noise), off, threshold in _noise_steps(sorted(noisy, key=lambda n: _gain(n[0]))):
+    for (before, noise), (after, its_noise), off, threshold in _noise_steps(sorted(noisy, key=lambda n: _find_k(n[0]))):
         change = (
             f"the read noise goes from {noise.text} to {its_noise.text} DN, {math.expm1(off):+.0%} beside what K and "
             "the ISOs around make likely"
@@ -186,6 +186,7 @@ def find_steps(isos: Sequence[IsoCalibration]) -> list[tuple[float, Finding]]:
 def _describe_step(
     before: IsoCalibration, after: IsoCalibration, change: str, off: float, threshold: float
 ) -> tuple[float, Finding]:
+    """Make the finding on a step between two neighbouring ISOs, after the upper ISO."""
     low, high = sorted((before.iso, after.iso))
     text = (
         f"between ISO {low:g} and {high:g} {change}, as where a camera switches its conversion gain or scales numbers; "
@@ -197,10 +198,10 @@ def _describe_step(
 
 def _noise_steps(noisy: Sequence[_Noisy]) -> Iterator[tuple[_Noisy, _Noisy, float, float]]:
     """Yield the clearest step of sigma_G over K, then those on either side of it."""
-    pairs = [pair for pair in pairwise(noisy) if _gain(pair[1][0]) > _gain(pair[0][0]) * math.exp(_SAME_GAIN)]
+    pairs = [pair for pair in pairwise(noisy) if _find_k(pair[1][0]) > _find_k(pair[0][0]) * math.exp(_SAME_GAIN)]
     if not pairs:
         return
-    gains = [math.log(_gain(after) / _gain(before)) for (before, _), (after, _) in pairs]
+    gains = [math.log(_find_k(after) / _find_k(before)) for (before, _), (after, _) in pairs]
     rises = [math.log(after.value / before.value) for (_, before), (_, after) in pairs]
     slopes = [min(max(rise / gain, 0.0), 1.0) for gain, rise in zip(gains, rises, strict=True)]
     steps = []
@@ -213,12 +214,13 @@ def _noise_steps(noisy: Sequence[_Noisy]) -> Iterator[tuple[_Noisy, _Noisy, floa
     others = [abs(step) for place, step in enumerate(steps) if abs(place - at) > 1]
     threshold = max(_LEAST_STEP_OF_NOISE, _SURELY * error, _OF_OTHERS * float(np.median(others or [0.0])))
     if abs(steps[at]) > threshold:
-        yield from _noise_steps([record for record in noisy if _gain(record[0]) <= _gain(below[0])])
+        yield from _noise_steps([record for record in noisy if _find_k(record[0]) <= _find_k(below[0])])
         yield below, above, steps[at], threshold
-        yield from _noise_steps([record for record in noisy if _gain(record[0]) >= _gain(above[0])])
+        yield from _noise_steps([record for record in noisy if _find_k(record[0]) >= _find_k(above[0])])
 
 
-def _gain(record: IsoCalibration) -> float:
+def _find_k(record: IsoCalibration) -> float:
+    """Return K of an ISO, in DN/e-; nan if it is not known."""
     return record.gain_dn_per_e or math.nan
 
 
@@ -228,6 +230,7 @@ def _error(figure: MeasuredFigure) -> float:
 
 
 def _relative_error(figure: MeasuredFigure | None) -> float:
+    """Compute the error of a figure as a share of its value; 0 if it is stated, or missing."""
     return 0.0 if figure is None else _error(figure) / figure.value
 
 
@@ -254,7 +257,7 @@ def fit_modes(
     tuple
         One mode, or each that is stated, none if no ISO has K; and why no profile can hold them, empty if it can.
     """
-    known = sorted((record for record in isos if record.gain_dn_per_e is not None), key=_gain)
+    known = sorted((record for record in isos if record.gain_dn_per_e is not None), key=_find_k)
     ends = [-math.inf, *(starts or ()), math.inf]
     parts = [[record for record in known if low <= record.iso < high] for low, high in pairwise(ends)]
     if starts is None or starts:
@@ -265,14 +268,14 @@ def fit_modes(
     for place, part in enumerate(parts if starts else ()):
         # Of two ISOs of different gain, all that a row of the profile needs.
         complete = [record for record in part if record.sigma_tl_dn is not None and record.colour_bias_dn is not None]
-        if len({_gain(record) for record in complete}) < 2:
+        if len({_find_k(record) for record in complete}) < 2:
             which = f"from ISO {ends[place]:g} on" if place else f"below ISO {ends[1]:g}"
             return (), (
                 f"the gain mode {which} has K, read noise and colour bias at fewer than two ISOs: no line can be fitted"
             )
     fitted = [_fit_mode(part, len(parts) > 1, remarks) for part in parts]
     if starts:
-        fitted = [_extend(lines, start, remarks) for lines, start in zip(fitted, (None, *starts), strict=True)]
+        fitted = [_extend_mode(lines, start, remarks) for lines, start in zip(fitted, (None, *starts), strict=True)]
     limits = [end for lines in fitted for end in lines.mode.iso_range or ()]
     if limits != sorted(limits):  # K does not go with the ISO
         fitted = [replace(lines, mode=replace(lines.mode, iso_range=None)) for lines in fitted]
@@ -290,6 +293,7 @@ def whole_ranges(modes: Sequence[GainMode]) -> tuple[tuple[float, float], tuple[
 
 
 def _fit_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: list[str]) -> FittedMode:
+    """Fit a gain mode: ranges of K and ISO, a line over K for each scale; add to the remarks."""
     # Where the read noise is withheld, nothing is known. An extended ISO has the K of its neighbour, and by chance the
     # larger or the smaller one.
     ends = [record for record in part if record.sigma_tl_dn and record.sigma_gauss_dn] or part
@@ -302,13 +306,13 @@ def _fit_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: 
             remarks.append(f"sigma_row is withheld at ISO {lowest:g} to {highest:g}: that gain mode makes no row noise")
         else:
             remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
-    gains = _gain(ends[0]), _gain(ends[-1])
+    gains = _find_k(ends[0]), _find_k(ends[-1])
     tukey_lambda, gauss, row = (line for _, line in fits)
     mode = GainMode(gains, tukey_lambda, gauss, row, (lowest, highest))
     return FittedMode(mode, *(estimate for estimate, _ in fits))
 
 
-def _extend(lines: FittedMode, start: float | None, remarks: list[str]) -> FittedMode:
+def _extend_mode(lines: FittedMode, start: float | None, remarks: list[str]) -> FittedMode:
     """Return a mode that begins where somebody states that it does, below its first measured ISO."""
     mode = lines.mode
     if start is None or mode.iso_range is None or start == mode.iso_range[0]:

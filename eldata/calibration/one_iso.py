@@ -134,16 +134,18 @@ def as_frames_error(frames: CalibrationFrames, chosen: IsoFrames) -> Iterator[No
 
 def decodings(chosen: IsoFrames) -> int:
     """Return the number of frames that are decoded for an ISO: bias frames twice."""
-    estimated, held_out = _split(chosen.bias)
+    estimated, held_out = _hold_out(chosen.bias)
     return 2 * len(estimated) + len(held_out) + 2 * len(chosen.pairs)
 
 
-def _split(bias: Sequence[FrameRecord]) -> tuple[Sequence[FrameRecord], Sequence[FrameRecord]]:
+def _hold_out(bias: Sequence[FrameRecord]) -> tuple[Sequence[FrameRecord], Sequence[FrameRecord]]:
+    """Split off the last bias frame, to test the model on it, if there are enough frames."""
     return (bias[:-1], bias[-1:]) if len(bias) >= HOLD_OUT_FROM else (bias, ())
 
 
 def _measure_all(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
-    fixed, estimated, held_out = _first_pass(reader, *_split(chosen.bias))
+    """Measure noise and gain of one ISO from its bias frames and flats."""
+    fixed, estimated, held_out = _first_pass(reader, *_hold_out(chosen.bias))
     sums, pairs = BiasSums(fixed), BiasPairs(fixed)
     for source, frame in reader.read(estimated):
         if source == estimated[0]:
@@ -238,6 +240,7 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
     remarks: list[str] = []
 
     def make_record(*findings: Finding, **more: Any) -> IsoGain:
+        """Make the ISO's record from all that is known so far."""
         known: dict[str, Any] = {"iso": float(chosen.iso), "sensor": reader.sensor, "stated_gain_dn_per_e": stated}
         return IsoGain(**known, remarks=tuple(remarks), findings=findings, step_dn=step, **more)
 

@@ -268,10 +268,11 @@ def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:
     best = int(curve.argmax())
     around = (float(shapes[max(best - 1, 0)]), float(shapes[min(best + 1, 40)]) + (best == 40) * 1.4)
 
-    def lack(shape: float) -> float:
+    def negate_correlation(shape: float) -> float:
+        """Negate the correlation, which is to be highest, for a minimiser."""
         return -correlation(values, weights, float(shape))[0]
 
-    shape = float(minimize_scalar(lack, bounds=around, method="bounded", options={"xatol": 1e-6}).x)
+    shape = float(minimize_scalar(negate_correlation, bounds=around, method="bounded", options={"xatol": 1e-6}).x)
     return shape, correlation(values, weights, shape)[1], np.stack([shapes, curve])
 
 

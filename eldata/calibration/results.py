@@ -73,19 +73,20 @@ class Calibration:
 
         With too few ISOs, the profile says in a note what it holds instead.
         """
-        return self._fit("sigma_tl_dn")
+        return self._only_fit("sigma_tl_dn")
 
     @property
     def gauss_fit(self) -> LogLogEstimate | None:
         """The line of sigma_G over K; ``None`` as for ``tukey_lambda_fit``."""
-        return self._fit("sigma_gauss_dn")
+        return self._only_fit("sigma_gauss_dn")
 
     @property
     def row_fit(self) -> LogLogEstimate | None:
         """The line of sigma_row over K; ``None`` as for ``tukey_lambda_fit``."""
-        return self._fit("sigma_row_dn")
+        return self._only_fit("sigma_row_dn")
 
-    def _fit(self, scale: str) -> LogLogEstimate | None:
+    def _only_fit(self, scale: str) -> LogLogEstimate | None:
+        """Find the line of a scale over K; ``None`` if there are several gain modes."""
         return self.modes[0].estimates[scale] if len(self.modes) == 1 else None
 
     @property
@@ -128,7 +129,7 @@ class Calibration:
 
     @property
     def all_remarks(self) -> tuple[str, ...]:
-        """Every remark, those of one ISO with its ISO in front."""
+        """Every remark; a remark on one ISO has the ISO in front."""
         of_isos = (f"ISO {record.iso:g}: {remark}" for record in self.all_isos for remark in record.all_remarks)
         return (*of_isos, *self.remarks)
 
@@ -202,6 +203,7 @@ class Calibration:
         return f"Calibration({in_line(self.camera)!r}, ISO {isos or 'none'}; {profile}, {remarks})"
 
     def _repr_html_(self) -> str:
+        """Render the tables of figures and gains for notebooks."""
         tables = [table(*each) for name, each in self.tables().items() if name in {"figures", "gains"}]
         return block(f"Calibration of {self.camera}", *tables, notes=self.all_remarks)
 
@@ -271,6 +273,7 @@ class Calibration:
             chosen = known[len(known) // 2] if iso is None else iso
 
             def draw_transfer(axes: Axes, theme: Theme) -> None:
+                """Draw the photon transfer of the chosen ISO."""
                 plots.transfer_lines(axes, None, *transfers[chosen], theme)
                 axes.set_xlabel("signal [DN]")
 
@@ -279,6 +282,7 @@ class Calibration:
             values, errors = [gain.value for gain in gains.values()], [plots.bar(gain.error) for gain in gains.values()]
 
             def draw_gains(axes: Axes, theme: Theme) -> None:
+                """Draw K over the ISO."""
                 plots.gain_over_iso(axes, list(gains), values, errors, self.usual_gain_per_iso, theme)
                 plots.iso_axis(axes, list(gains))
 
@@ -286,6 +290,7 @@ class Calibration:
         for panel in self.scale_panels:
 
             def draw_scales(axes: Axes, theme: Theme, panel: ScalePanel = panel) -> None:
+                """Draw a scale of the noise over K."""
                 plots.scale_over_gain(axes, panel.name, panel.spans, panel.points, theme)
 
             draws.append(("row noise" if panel.name == "row" else f"read noise, {panel.name}", draw_scales))

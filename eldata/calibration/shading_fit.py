@@ -126,7 +126,7 @@ class ShadingFit:
             self._lines[shading_iso.mode] = _Lines(*np.zeros((2, *self._hot.shape), np.float32))
         lines = self._lines[shading_iso.mode]
         of_slope, of_offset = lines.add_iso(iso, shading_iso.weight)
-        for rows, values in _over_black(fixed, black_level_dn):
+        for rows, values in _subtract_black(fixed, black_level_dn):
             slope, offset = lines.slope[rows], lines.offset[rows]
             off = values - (slope * iso + offset)
             slope += of_slope * off
@@ -148,7 +148,7 @@ class ShadingFit:
             isos += _subtract_line([record for record in self._isos if record.mode == mode], number)
             lines = self._lines.pop(mode)
             for values in (lines.slope, lines.offset):
-                _calm(values, self._hot, self._pattern)
+                _replace_hot(values, self._hot, self._pattern)
             fields.append((lines.slope, lines.offset))
         slope, offset = (
             values[0][None] if len(values) == 1 else np.stack(values) for values in zip(*fields, strict=True)
@@ -166,7 +166,7 @@ class ShadingFit:
         )
 
 
-def _over_black(fixed: FixedPattern, black_level_dn: Sequence[float]) -> Iterator[tuple[slice, Values]]:
+def _subtract_black(fixed: FixedPattern, black_level_dn: Sequence[float]) -> Iterator[tuple[slice, Values]]:
     """Yield the mean frame over the black level, some rows at a time."""
     step = _ROWS * len(fixed.pattern)
     for top in range(0, len(fixed.total_dn), step):
@@ -189,7 +189,7 @@ def _subtract_line(isos: Sequence[ShadingIso], mode: int) -> Iterator[ShadingIso
         yield replace(record, mode=mode, level_error_dn=tuple(over.tolist()))
 
 
-def _calm(values: Plane, hot: Mask, pattern: Counts) -> None:
+def _replace_hot(values: Plane, hot: Mask, pattern: Counts) -> None:
     """Replace hot pixels by the mean of the sound ones at the same site of the CFA near them, else anywhere."""
     around = np.mgrid[-_REACH : _REACH + 1, -_REACH : _REACH + 1].reshape(2, -1, 1)
     for site, _ in sites(pattern):

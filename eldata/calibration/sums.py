@@ -103,7 +103,7 @@ def sums_by_row(values: NDArray[Any], pattern: Counts) -> Counts:
 
 
 def levels_and_lines(sums: NDArray[Any], pixels: Counts) -> tuple[Values, Values]:
-    """Return each channel's mean in the frame, and that of each line over its channels, each less its own."""
+    """Compute the mean of each channel, and of each line less the means of its channels."""
     level = sums.sum(axis=0) / np.maximum(pixels.sum(axis=0), 1)
     return level, (sums - pixels * level).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
 

@@ -105,19 +105,19 @@ class Ripple:
 
     @classmethod
     def of(cls, shape: float, sigma_steps: float) -> Ripple:
-        """Work it out for a Tukey-lambda distribution of this shape, and scale in steps of the values."""
+        """Compute the ripple for a Tukey-lambda distribution of this shape, and scale in steps of the values."""
         if not sigma_steps > _LEAST_SIGMA_STEPS:
             return cls(1.0, math.inf, math.inf)
         if sigma_steps > _MANY_STEPS:
             return cls(0.0, 0.0, 0.0)
-        levels, values, chances = _recorded(shape, sigma_steps)
+        levels, values, chances = _round_levels(shape, sigma_steps)
         means = chances @ values
         variances = (chances * (values - means[:, None]) ** 2).sum(axis=1)
         typical, mean_steps = float(variances.mean()), float(np.ptp(means - levels))
         return cls(mean_steps, mean_steps / math.sqrt(typical), float(np.ptp(variances)) / typical)
 
 
-def _recorded(shape: float, sigma_steps: float) -> tuple[Values, Values, Values]:
+def _round_levels(shape: float, sigma_steps: float) -> tuple[Values, Values, Values]:
     """Return levels from 0 to 1 step, recorded values, and the chance of each at each level, (levels, values)."""
     reach = math.ceil(20 + 30 * sigma_steps)
     levels, values = np.arange(16) / 16, np.arange(-reach, reach + 1.0)
@@ -130,7 +130,7 @@ def wave_of_rounding(shape: float, sigma: float, frames: int) -> float:
     """Return the mean of exp(2 pi i mean) over pixels whose levels lie anywhere: rounding draws means to whole DN."""
     if not _LEAST_SIGMA_STEPS < sigma < _MANY_STEPS:
         return float(sigma <= _LEAST_SIGMA_STEPS)
-    _, values, chances = _recorded(shape, sigma)
+    _, values, chances = _round_levels(shape, sigma)
     return float(((chances @ np.exp(2j * math.pi * values / frames)) ** frames).mean().real)
 
 
@@ -149,7 +149,7 @@ class ResidualModel:
 
     @property
     def own(self) -> float:
-        """Share of the pixel's own noise."""
+        """Share of the pixel's own noise in its residual."""
         return (1 - 1 / self.frames if self.frames > 1 else 1.0) * (1 - 1 / self.row_pixels)
 
     def tails(self, edges: Values, shape: float, sigma: float) -> Values:
@@ -170,7 +170,7 @@ class ResidualModel:
         return np.maximum(-2 * np.diff(tails, append=0.0), 1e-300)
 
     def _others(self, logs: PchipInterpolator, unit: float) -> Nodes:
-        """Return Z as nodes and weights."""
+        """Return the distribution of other pixels' noise, Z, as nodes and weights."""
         variance = self.own * (1 - self.own) * unit**2
         if variance <= 0:
             return NOTHING
@@ -219,7 +219,7 @@ def correlation(values: Values, counts: Values, shape: float) -> tuple[float, fl
     below = np.concatenate([[0.0], np.cumsum(counts)]) / total
     above = np.concatenate([np.cumsum(counts[::-1])[::-1], [0.0]]) / total
     weights = counts / total
-    blocks = np.diff(_integral(below, above, shape))
+    blocks = np.diff(_integrate_quantile(below, above, shape))
     # The quantile's spread inside a cell, by quadrature; without the outermost cells, where it has no bound.
     inside = 0.0
     means = blocks[1:-1] / weights[1:-1]
@@ -227,7 +227,7 @@ def correlation(values: Values, counts: Values, shape: float) -> tuple[float, fl
         low, high = below[1:-2] + node * weights[1:-1], above[2:-1] + (1 - node) * weights[1:-1]
         quantiles = tukey_lambda_quantile(low, shape, high)
         inside += share * float(weights[1:-1] @ (quantiles - means) ** 2)
-    return _plot(values, weights, blocks, inside)
+    return _correlate(values, weights, blocks, inside)
 
 
 def normal_correlation(values: Values, counts: Values) -> tuple[float, float]:
@@ -241,10 +241,11 @@ def normal_correlation(values: Values, counts: Values) -> tuple[float, float]:
     blocks, weights = -np.diff(density), counts / total
     second = np.concatenate([[0.0], below - quantiles * density[1:-1], [1.0]])  # the integral of the square
     inside = float((np.diff(second) - blocks**2 / weights)[1:-1].sum())
-    return _plot(values, weights, blocks, inside)
+    return _correlate(values, weights, blocks, inside)
 
 
-def _integral(below: Values, above: Values, shape: float) -> Values:
+def _integrate_quantile(below: Values, above: Values, shape: float) -> Values:
+    """Integrate the quantile function of scale 1 from 0 to each level ``below``; ``above`` = 1 - level."""
     from scipy.special import boxcox
 
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -252,7 +253,8 @@ def _integral(below: Values, above: Values, shape: float) -> Values:
     return np.asarray((terms[0] + terms[1]) / (shape + 1))
 
 
-def _plot(values: Values, weights: Values, blocks: Values, inside: float) -> tuple[float, float]:
+def _correlate(values: Values, weights: Values, blocks: Values, inside: float) -> tuple[float, float]:
+    """Compute correlation and slope of a plot; ``blocks``: each cell's integral of the quantile function."""
     centred = values - float(weights @ values)
     cross = float(centred @ blocks)
     squares = float(blocks @ (blocks / weights)) + inside

@@ -155,6 +155,7 @@ class SourcePairs(CroppedItems[Sample]):
                 self._open_pair(record)
 
     def _open_pair(self, record: PairRecord) -> OpenedPair:
+        """Open a pair's reference and its noisy frame."""
         return self._opener.open_pair(record, self._opener.open_target(record.reference))
 
     def _cached_pair(self, place: int) -> OpenedPair:
@@ -170,18 +171,19 @@ class SourcePairs(CroppedItems[Sample]):
         return self.__dict__ | {"_pairs": {}}  # each process opens those that it reads
 
     def _outline(self) -> list[tuple[str, str]]:
+        """Describe the dataset by names and values: place, pairs, cameras, ISO, ratios, then as for all items."""
         scenes = len({(record.camera, record.scene) for record in self.records})
         named = (("cameras", "camera"), ("splits", "split"), ("ISO", "iso"), ("ratios", "ratio"))
         return [
             ("place", self._place),
             ("pairs", f"{len(self.records)} of {scenes} scenes"),
-            *((name, self._values(field)) for name, field in named),
+            *((name, self._list_values(field)) for name, field in named),
             ("values", self._describe_values()),
             *super()._outline(),
         ]
 
-    def _values(self, field: str) -> str:
-        """Return the distinct values of a field of the records; of many, their number."""
+    def _list_values(self, field: str) -> str:
+        """List the distinct values of a field of the records in words; of many, their number."""
         distinct = dict.fromkeys(getattr(record, field) for record in self.records)
         texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]
         return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)} values"

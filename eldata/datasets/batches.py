@@ -81,16 +81,16 @@ def new_batch(fields: Sequence[Field]) -> Batch | None:
 
     In a DataLoader's worker it can be sent without a copy.
     """
-    taken = _pieces(_Piece if get_worker_info() is None else _SharedPiece).take(_size(fields))
+    taken = _own_pieces(_Piece if get_worker_info() is None else _SharedPiece).take(_count_bytes(fields))
     return None if taken is None else Batch(fields, *taken)
 
 
 def new_arrays(fields: Sequence[Field]) -> dict[str, NDArray[Any]]:
     """Return arrays to be filled, by name: memory that is used again if there is some free, for one sample."""
-    taken = _pieces(_Piece).take(_size(fields))
+    taken = _own_pieces(_Piece).take(_count_bytes(fields))
     if taken is None:
         return {field.name: np.empty(field.shape, field.dtype) for field in fields}
-    return _arrays(fields, taken[1])
+    return _lay_out_arrays(fields, taken[1])
 
 
 class Batch:
@@ -101,11 +101,11 @@ class Batch:
         self.count = self.fields[0].shape[0]
         self.shapes = {field.name: field.shape[1:] for field in self.fields}
         self.piece = piece
-        self.arrays = _arrays(self.fields, lease)
+        self.arrays = _lay_out_arrays(self.fields, lease)
         self.tensors = {name: torch.from_numpy(array) for name, array in self.arrays.items()}
 
     def parts(self, samples: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Return the samples, the large tensors being views of the batch; what ``samples`` has of those is ignored."""
+        """Return the samples with views of the batch as their large tensors, whatever ``samples`` hold of these."""
         views = {name: tensor.unbind() for name, tensor in self.tensors.items()}
         return [
             _Part(self, place, sample, {name: views[name][place] for name in sample if name in views})
@@ -127,7 +127,7 @@ class _Part(dict[str, Any]):
         return dict, (dict(self),)
 
     def is_whole(self) -> bool:
-        """Tell whether every view is still the batch's own tensor."""
+        """Check that every view is still the batch's own tensor."""
         return all(self.get(name) is view for name, view in self.views.items())
 
 
@@ -140,14 +140,14 @@ def _collate(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str,
         collated: dict[str, Any] = default_collate([dict(part) for part in parts])
         return collated
     content = {
-        name: batch.tensors[name] if name in batch.tensors else _column([part[name] for part in parts])
+        name: batch.tensors[name] if name in batch.tensors else _collate_values([part[name] for part in parts])
         for name in parts[0]
     }
     return _Part(batch, None, content, batch.tensors) if isinstance(batch.piece, _SharedPiece) else content
 
 
-def _column(values: list[Any]) -> Any:
-    """Collate small values as torch does, without its search for the right way, which takes most of the time."""
+def _collate_values(values: list[Any]) -> Any:
+    """Collate the samples' small values of one name as torch does, but without its slow search for the right way."""
     kinds = set(map(type, values))
     if kinds == {str}:
         return values
@@ -155,7 +155,7 @@ def _column(values: list[Any]) -> Any:
 
 
 def _reduce_batch(whole: _Part) -> tuple[Any, ...]:
-    """Reduce a collated batch to its place in memory and its small values, so that the queue sends no copy."""
+    """Pickle a collated batch as its place in memory and its small values, so that the queue sends no copy."""
     batch = whole.batch
     if whole.place is not None or not whole.is_whole() or not isinstance(batch.piece, _SharedPiece):
         return whole.__reduce__()
@@ -174,7 +174,7 @@ ForkingPickler.register(_Part, _reduce_batch)
 def _receive_batch(
     descriptor: Any, size: int, fields: tuple[Field, ...], others: Mapping[str, Any], order: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Return a batch that another process wrote: unpickled, in the process that reads it."""
+    """Rebuild a batch that another process wrote, when it is unpickled in the process that reads it."""
     number = descriptor.detach()
     try:
         memory = mmap.mmap(number, size)
@@ -182,7 +182,7 @@ def _receive_batch(
         os.close(number)
     lease = _Lease(memory)
     weakref.finalize(lease, _give_back, os.getpid(), memory).atexit = False
-    content = dict(others) | _arrays(fields, lease)
+    content = dict(others) | _lay_out_arrays(fields, lease)
     tensors = {name: torch.from_numpy(value) for name, value in content.items() if isinstance(value, np.ndarray)}
     return {name: tensors.get(name, content[name]) for name in order}
 
@@ -221,6 +221,7 @@ class _Piece:
         self._lease: weakref.ref[_Lease] | None = None
 
     def _map_memory(self) -> mmap.mmap:
+        """Map memory of the piece's size for this process."""
         private = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
         return mmap.mmap(-1, self.size, **private)
 
@@ -246,6 +247,7 @@ class _SharedPiece(_Piece):
         super().__init__(size)
 
     def _map_memory(self) -> mmap.mmap:
+        """Map memory behind a file descriptor, which other processes can be sent."""
         self._descriptor = os.memfd_create("eldata-batch", os.MFD_CLOEXEC)
         weakref.finalize(self, os.close, self._descriptor).atexit = False
         os.ftruncate(self._descriptor, self.size)
@@ -291,20 +293,22 @@ class _Pieces:
 
 
 @cache
-def _pieces(kind: type[_Piece]) -> _Pieces:
+def _own_pieces(kind: type[_Piece]) -> _Pieces:
+    """Make this process's only collection of pieces of a kind."""
     return _Pieces(kind)
 
 
 if hasattr(os, "register_at_fork"):  # those are the parent's
-    os.register_at_fork(after_in_child=_pieces.cache_clear)
+    os.register_at_fork(after_in_child=_own_pieces.cache_clear)
 
 
-def _size(fields: Sequence[Field]) -> int:
+def _count_bytes(fields: Sequence[Field]) -> int:
+    """Count the bytes of a piece for these arrays: header and aligned contents."""
     return _HEADER_BYTES + sum(-(-field.nbytes // _ALIGNED) * _ALIGNED for field in fields)
 
 
-def _arrays(fields: Sequence[Field], lease: _Lease) -> dict[str, NDArray[Any]]:
-    """Return arrays one after the other behind the header; each holds the lease."""
+def _lay_out_arrays(fields: Sequence[Field], lease: _Lease) -> dict[str, NDArray[Any]]:
+    """Lay out arrays one after the other behind the header; each holds the lease."""
     content = np.asarray(lease)
     arrays: dict[str, NDArray[Any]] = {}
     start = _HEADER_BYTES

@@ -214,6 +214,7 @@ class CalibrationFrames:
         return side_by_side(f"{', '.join(facts)}\n{sample['path']}", [("mosaic [DN]", sample["mosaic"])])
 
     def _repr_html_(self) -> str:
+        """Render the numbers of frames by ISO as a table for notebooks."""
         rows = [
             tuple(str(count) for count in (f"{float(iso):g}", len(self.of("bias", iso)), len(self.of("flat", iso))))
             for iso in self.isos
@@ -270,6 +271,7 @@ def choose_camera(wanted: str | None, found: Collection[str], where: str) -> str
 
 
 def _find_in_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecord, ...], tuple[str, ...]]:
+    """Find the camera, its frames by role and ISO folder, and other files, which are skipped."""
     layout = "<camera>/bias/ISO100/..., <camera>/flat/ISO100/..., one folder per ISO"
     problem = folder_problem(root)
     if problem is not None:
@@ -313,6 +315,7 @@ def _find_in_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRe
 
 
 def _keep_isos(records: tuple[FrameRecord, ...], isos: Collection[int] | None) -> tuple[FrameRecord, ...]:
+    """Keep the records of some ISOs; refuse an ISO without records."""
     if isos is None:
         return records
     known = sorted({record.iso for record in records if record.iso is not None})

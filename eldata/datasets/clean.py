@@ -141,7 +141,7 @@ class CleanFrames:
         return frame
 
     def frame(self, index: int) -> Frame:
-        """Return one frame: one of those that are kept, or opened."""
+        """Return one frame, from memory if it is kept, else newly opened."""
         if not self.keep:
             return self.open_frame(index)
         kept = self._kept.pop(index, None)  # threads may read side by side, and find what another one just took
@@ -174,7 +174,7 @@ def clean_files(
     if not isinstance(source, (str, Path)):
         files = [place if isinstance(place, StatedFile) else Path(place) for place in source]
     elif is_manifest(source):
-        files = _references(str(source))
+        files = _list_references(str(source))
     else:
         files = clean_raws(Path(source), reference)
     if not files:
@@ -182,7 +182,8 @@ def clean_files(
     return tuple(files)
 
 
-def _references(manifest: str) -> list[Path | StatedFile]:
+def _list_references(manifest: str) -> list[Path | StatedFile]:
+    """List the files of a manifest's references."""
     (loaded,) = find_manifests(manifest)
     folder = loaded.folder()
     rows = [row for row in expand(loaded.records, folder) if row.role == "reference"]
@@ -192,14 +193,15 @@ def _references(manifest: str) -> list[Path | StatedFile]:
     return [files.at(row.path) for row in rows]
 
 
-def _path_of(file: Path | StatedFile) -> Path:
+def _as_path(file: Path | StatedFile) -> Path:
+    """Take the path of a file that may come with stated facts."""
     return file.path if isinstance(file, StatedFile) else file
 
 
 def _find_frames(
     source: Path | str | Iterable[Path | str | StatedFile], reference: str | None
 ) -> tuple[FrameSource, tuple[str, ...]]:
-    """Find where frames are read, and their names there."""
+    """Find the source of clean frames, files or a store, and the frames' names in it."""
     if not isinstance(source, (str, Path)):
         source = places = list(source)
         if any(map(_holds_frames, places)):
@@ -208,7 +210,7 @@ def _find_frames(
     if not (isinstance(source, (str, Path)) and _is_store(source)):
         files = clean_files(source, reference)
         stated = {str(file.path): file for file in files if isinstance(file, StatedFile)}
-        return Files(stated), tuple(str(_path_of(file)) for file in files)
+        return Files(stated), tuple(str(_as_path(file)) for file in files)
     store = Store(source)
     clean = sorted(frame.path for frame in store.frames if frame.role == "reference" and frame.sensor.cfa)
     if not clean:
@@ -236,17 +238,19 @@ class _Several:
 
 
 def check_once(names: Sequence[object]) -> None:
-    """Refuse a file that two of the places that were given hold, with a DatasetError."""
+    """Refuse a file that occurs in two of the given places, with a DatasetError."""
     if len(set(names)) < len(names):
         twice = next(name for place, name in enumerate(names) if name in names[:place])
         raise DatasetError(f"{twice}: lies in two of the folders or stores that were given; give each once")
 
 
 def _holds_frames(place: Path | str | StatedFile) -> TypeGuard[Path | str]:
+    """Check for a folder, a store or a manifest, as opposed to a single file."""
     return isinstance(place, (str, Path)) and (Path(place).is_dir() or _is_store(place) or is_manifest(place))
 
 
 def _is_store(source: Path | str) -> bool:
+    """Recognise a store by its extension."""
     return Path(source).suffix.lower() in SUFFIXES
 
 
@@ -298,7 +302,7 @@ class Arrays:
         return Frame(mosaic, sites.cfa, self._black_level_dn, self.range_dn, name)
 
     def _read(self, packed: NDArray[Any], rows: slice, columns: slice) -> NDArray[np.float32]:
-        """Return a part of a mosaic, in DN, put together in memory that the next call of this thread overwrites."""
+        """Unpack a part of a mosaic, in DN, into memory that the next call of this thread overwrites."""
         sites, range_dn = self._sites, np.float32(self.range_dn)
         period, scale = sites.period, sites.scale
         top, bottom, _ = rows.indices(packed.shape[1] * scale)
@@ -358,7 +362,7 @@ class CleanClips:
             if not isinstance(place, (str, Path)):
                 clips.append(place)
             elif _is_store(place):
-                clips += _clips_of(Store(place), levels)
+                clips += _read_clips(Store(place), levels)
             else:  # of clips that are given one by one all frames are taken
                 reference = None if place is source else "*"
                 clips += [CleanFrames(files, levels=levels) for files in clip_files(place, reference)]
@@ -394,10 +398,10 @@ class CleanScene(NamedTuple):
     @property
     def path(self) -> Path:
         """Where the file lies."""
-        return _path_of(self.file)
+        return _as_path(self.file)
 
     def below(self, folder: Path) -> Path | StatedFile:
-        """Return the file, whose path starts in a folder."""
+        """Put a folder before the path of the file."""
         return replace(self.file, path=folder / self.path) if isinstance(self.file, StatedFile) else folder / self.file
 
 
@@ -417,7 +421,7 @@ def clean_scenes(clean: Sequence[Path], clips: bool | None, reference: str | Non
         groups = [files for folder in clean for files in clip_files(folder, reference)]
     else:
         groups = [[file] for folder in clean for file in clean_files(folder, reference)]
-    check_once([_path_of(file) for files in groups for file in files])
+    check_once([_as_path(file) for files in groups for file in files])
     scenes: list[CleanScene] = []
     folders: dict[Path, list[str]] = {}
     for number, files in enumerate(groups):
@@ -447,11 +451,12 @@ def clip_files(source: Path | str, reference: str | None = None) -> list[Sequenc
     """
     folders: dict[Path, dict[str, Path | StatedFile]] = {}
     for file in clean_files(source, reference):
-        folders.setdefault(_path_of(file).parent, {})[_path_of(file).name] = file
+        folders.setdefault(_as_path(file).parent, {})[_as_path(file).name] = file
     return [[files[name] for name in _order_names(folder, files)] for folder, files in sorted(folders.items())]
 
 
-def _clips_of(source: Store, levels: Levels) -> Iterator[CleanFrames]:
+def _read_clips(source: Store, levels: Levels) -> Iterator[CleanFrames]:
+    """Yield the clips of a store of clean raws: each folder in it is one."""
     if source.manifest is not None:
         raise DatasetError(f"{source.path}: holds a dataset, not clean clips; pack a folder of folders of clean raws")
     folders: dict[PurePosixPath, list[str]] = {}

@@ -72,6 +72,7 @@ class ClipSample(UnpairedClipSample):
 
 
 def _keep_pixels(frame: Frame) -> Frame:
+    """Keep a frame as it is: the alternative to :meth:`Frame.without_pixels`."""
     return frame  # which reads parts, and holds none
 
 
@@ -256,9 +257,11 @@ class ClipWindows(CroppedItems[ClipSample]):
 
     @property
     def _crop_text(self) -> str:
+        """The choice of crops, in words: a fixed region if there is one."""
         return super()._crop_text if self.region is None else f"region={self.region}"
 
     def _outline(self) -> list[tuple[str, str]]:
+        """Describe the dataset by names and values: place, clips, files, then as for all items."""
         return [
             ("place", str(self.root)),
             ("clips", self._text),

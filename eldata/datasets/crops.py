@@ -55,8 +55,8 @@ def turn_mosaic(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation)
     period = len(cfa)
     if mosaic.ndim != 2 or any(side % period for side in mosaic.shape):
         raise ArgumentError(f"expected a mosaic whose sides are multiples of {period}; found shape {mosaic.shape}")
-    top, left = _offset(cfa, orientation)
-    return _flip(mosaic, orientation)[top:, left:]
+    top, left = _find_offset(cfa, orientation)
+    return _orient(mosaic, orientation)[top:, left:]
 
 
 def copy_turned(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation, copy: NDArray[Scalar]) -> None:
@@ -75,7 +75,7 @@ def copy_turned(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation,
     if copy.shape[0] > view.shape[0] or copy.shape[1] > view.shape[1]:
         raise ArgumentError(f"a turned mosaic of {view.shape} pixels does not fill {copy.shape}")
     # What the view lost at the top and left, it lost at these ends of the mosaic.
-    top, left = _offset(cfa, orientation)
+    top, left = _find_offset(cfa, orientation)
     rows, columns = (left, top) if orientation.transpose else (top, left)
     flips = orientation.flip_rows, orientation.flip_columns
     flip_mosaic_rows, flip_mosaic_columns = reversed(flips) if orientation.transpose else flips
@@ -88,7 +88,7 @@ def copy_turned(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation,
 
 
 def turn_levels(levels: tuple[float, ...], orientation: Orientation) -> tuple[float, ...]:
-    """Return the levels of a CFA's channels, 3 for X-Trans and else 4, as the channels of the turned mosaic have them.
+    """Reorder the levels of a CFA's channels, 3 for X-Trans and else 4, for the channels of the turned mosaic.
 
     The first green is the one in red's rows. A flip leaves it there; a transpose swaps the two greens and their black
     levels, which may differ by a few DN.
@@ -99,17 +99,19 @@ def turn_levels(levels: tuple[float, ...], orientation: Orientation) -> tuple[fl
     return red, second, blue, first
 
 
-def _flip(array: NDArray[Scalar], orientation: Orientation) -> NDArray[Scalar]:
+def _orient(array: NDArray[Scalar], orientation: Orientation) -> NDArray[Scalar]:
+    """View an array (H, W) transposed and flipped as an orientation says."""
     turned = array.T if orientation.transpose else array
     return turned[:: -1 if orientation.flip_rows else 1, :: -1 if orientation.flip_columns else 1]
 
 
 @cache
-def _offset(cfa: CfaRows, orientation: Orientation) -> tuple[int, int]:
+def _find_offset(cfa: CfaRows, orientation: Orientation) -> tuple[int, int]:
+    """Find the rows and columns to cut off a turned mosaic, so that it begins with its CFA's first site."""
     pattern = np.asarray(cfa)
     # Which of the two greens is which follows from the place: they are told apart again after the turn.
     colours = np.where(pattern == 3, 1, pattern)
-    turned = _flip(colours, orientation)
+    turned = _orient(colours, orientation)
     period = len(cfa)
     for top, left in sorted(product(range(period), repeat=2), key=sum):
         if np.array_equal(np.roll(turned, (-top, -left), axis=(0, 1)), colours):
@@ -285,7 +287,7 @@ class Crop:
 
 @lru_cache(maxsize=256)
 def _grid(shape: tuple[int, int], cfa: CfaRows) -> tuple[PackedArea, int, int, CfaRows]:
-    """Return the area that packing keeps, the CFA's period, mosaic pixels per packed one, and the CFA of the area."""
+    """Find the area that packing keeps, the CFA's period, mosaic pixels per packed one, and the CFA of the area."""
     if not cfa:
         return PackedArea(0, 0, *shape), 1, 1, ()
     sites, area = packing_sites(cfa), packed_area(shape, cfa)

@@ -92,17 +92,17 @@ class SharedDraws:
 
 
 def keywords_of(arguments: Mapping[str, Any], *own: str) -> dict[str, Any]:
-    """Collect a constructor's arguments, its first line's ``locals()``, for its base's: all but its ``own``."""
+    """Choose the base constructor's keywords from a constructor's ``locals()``: all but its ``own``."""
     return {name: value for name, value in arguments.items() if name not in ("self", "__class__", *own)}
 
 
 def take_choice(options: dict[str, Any]) -> Choice:
-    """Take the keywords that choose pairs or clips out of others."""
+    """Move the keywords that choose pairs or clips from the options into a Choice."""
     return Choice(**{field.name: options.pop(field.name) for field in fields(Choice)})
 
 
 def checked_index(index: int, length: int) -> int:
-    """Return the index of one of so many items, those from the end counted; of another raise :class:`IndexError`."""
+    """Resolve an index, which may count from the end; raise :class:`IndexError` outside of ``length`` items."""
     if not -length <= index < length:
         raise IndexError(f"index {index} is outside of {length} items")
     return index % length
@@ -289,7 +289,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         """Read one item to be looked at, and the sensor of its target; raises like ``dataset[index]``."""
         with keep_counts():
             item = self.item(index)
-        return self._sample(item), item.sensor
+        return self._read_sample(item), item.sensor
 
     def plot(self, index: int = 0) -> Drawing:
         """Draw an item: input, target and their difference; of a window of frames the first.
@@ -317,6 +317,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         return [("items", f"{len(self)} {self._unit}, {self._crop_text}, {repeats}, seed={self.seed}")]
 
     def _describe_values(self) -> str:
+        """Describe in words how DN become values: levels, clip, amplification, dark shading."""
         shading = "" if self.dark_shading is None else f", dark_shading={self.dark_shading.digest[:15]}"
         return f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r}{shading}"
 
@@ -324,6 +325,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         return f"{type(self).__name__}({in_line('; '.join(f'{name}: {text}' for name, text in self._outline()))})"
 
     def _repr_html_(self) -> str:
+        """Render the dataset and its first item for notebooks."""
         return show_dataset(type(self).__name__, self._outline(), self._read_to_show if len(self) else None)
 
     def __iter__(self) -> Iterator[Sample]:
@@ -342,12 +344,13 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
             If a frame is smaller than the crop (with ``augment`` a mosaic needs one period of the CFA more), or the
             frames of an item do not belong together.
         """
-        sample: Any = self._sample(self.item(index))
+        sample: Any = self._read_sample(self.item(index))
         return sample  # type: ignore[no-any-return] # a TypedDict of the subclass
 
-    def _sample(self, item: DrawnItem) -> dict[str, Any]:
+    def _read_sample(self, item: DrawnItem) -> dict[str, Any]:
+        """Read a drawn item: its tensors and facts by name."""
         arrays = new_arrays([Field(name, shape, "<f4") for name, shape in item.shapes.items()])
-        self._read([item], {name: array[None] for name, array in arrays.items()})
+        self._read_items([item], {name: array[None] for name, array in arrays.items()})
         return {name: torch.from_numpy(array) for name, array in arrays.items()} | item.facts
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
@@ -367,15 +370,18 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
             if batch is None or any(item.shapes != batch.shapes for item in items):
                 rest = indices[len(samples) + len(items) :]
                 made = [] if batch is None else batch.parts(samples)
-                return [*made, *map(self._sample, items), *(self[index] for index in rest)]
+                return [*made, *map(self._read_sample, items), *(self[index] for index in rest)]
             places = slice(len(samples), len(samples) + len(items))
-            self._read(items, {name: array[places] for name, array in batch.arrays.items()})
+            self._read_items(items, {name: array[places] for name, array in batch.arrays.items()})
             samples += [dict.fromkeys(shapes) | item.facts for item in items]
             del items  # their frames, before the next ones are decoded
         return [] if batch is None else batch.parts(samples)
 
-    def _read(self, items: Sequence[DrawnItem], arrays: Mapping[str, NDArray[Any]]) -> None:
-        def fill(place: int, part: Part) -> None:
+    def _read_items(self, items: Sequence[DrawnItem], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Fill arrays with the parts of several items, by threads if the source reads parts."""
+
+        def fill_part(place: int, part: Part) -> None:
+            """Write a part of the item at this place, such as its input, into its array."""
             items[place].facts.update(part.facts)
             array = arrays[part.tensor][place]
             out, clip = array if part.place is None else array[part.place], "both" if part.is_light else self.clip
@@ -384,11 +390,11 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         if self.reads_parts:
             works = [(place, part) for place, item in enumerate(items) for part in item.parts]
             values = sum(array[0].size for array in arrays.values())
-            in_threads(lambda work: fill(*work), works, reading_threads(len(items), values))
+            in_threads(lambda work: fill_part(*work), works, reading_threads(len(items), values))
         else:
             for place, item in enumerate(items):
                 for part in item.parts:
-                    fill(place, part)
+                    fill_part(place, part)
                     del part  # its frame, before the next one is decoded
         self._finish(items, arrays)
 

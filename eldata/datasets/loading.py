@@ -122,7 +122,7 @@ def describe(loader: DataLoader[Any]) -> str:
     ArgumentError
         If the loader was not made here.
     """
-    return "\n".join(_require_ours(loader).why)
+    return "\n".join(_require_own_loader(loader).why)
 
 
 def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> None:
@@ -137,7 +137,7 @@ def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> N
         If the loader was not made here, the epoch is not a whole number from 0 up to below 2^32, or there is a first
         batch but the loader is not one for training.
     """
-    known = _require_ours(loader)
+    known = _require_own_loader(loader)
     epoch = checked_epoch(epoch)
     checked_whole("first_batch", first_batch, at_least=0)
     if isinstance(loader.sampler, ShuffledSampler):
@@ -158,7 +158,8 @@ def _parts(dataset: Any) -> Iterator[Any]:
         yield from _parts(part)
 
 
-def _require_ours(loader: DataLoader[Any]) -> _Loader:
+def _require_own_loader(loader: DataLoader[Any]) -> _Loader:
+    """Refuse a DataLoader that this module did not make."""
     if not isinstance(loader, _Loader):
         raise ArgumentError("expected a loader from training_loader or evaluation_loader, found another DataLoader")
     return loader
@@ -186,7 +187,7 @@ class _Loader(DataLoader[Any]):
         if start_method not in multiprocessing.get_all_start_methods():
             raise ArgumentError(f"this system has no start method {start_method!r}; take 'spawn'")
         self.rank = rank = rank or current_rank()
-        length = _length(dataset)
+        length = _count_items(dataset)
         sampler: Any = range(rank.number, length, rank.of)
         if is_training:
             sampler = ShuffledSampler(length, seed=self.seed, rank=rank)
@@ -245,15 +246,17 @@ def _end_with_parent(_: int) -> None:
     """
     parent = multiprocessing.parent_process()
     if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+        threading.Thread(target=_exit_after, args=(parent.sentinel,), daemon=True).start()
 
 
-def _end_with(sentinel: int) -> None:
+def _exit_after(sentinel: int) -> None:
+    """Wait until a process ends, by its sentinel; then end this one."""
     connection.wait([sentinel])
     os._exit(1)
 
 
-def _length(dataset: Any) -> int:
+def _count_items(dataset: Any) -> int:
+    """Count a dataset's items; refuse a dataset without indices, or empty."""
     has_both = hasattr(dataset, "__len__") and hasattr(dataset, "__getitem__")
     if isinstance(dataset, IterableDataset) or not has_both:
         raise ArgumentError(f"expected a dataset with len and indices; found {type(dataset).__name__}")
@@ -303,6 +306,7 @@ _WHY: dict[StartMethod, str] = {
 
 
 def _check_can_be_sent(dataset: Any, start_method: StartMethod) -> None:
+    """Refuse a dataset that cannot be pickled for worker processes."""
     if start_method == "fork":
         return
     advice = "define what it holds at the top of a module, or give start_method='fork' or workers=0"
@@ -318,6 +322,7 @@ def _check_can_be_sent(dataset: Any, start_method: StartMethod) -> None:
 
 
 def _choose_pinning(device: torch.device | str | None) -> tuple[bool, str]:
+    """Choose whether batches lie in pinned memory, and give the reason."""
     if not torch.cuda.is_available():
         return False, "no (CUDA is not there)"
     if device is not None and torch.device(device).type != "cuda":
@@ -449,7 +454,7 @@ def loader_workers(batch_bytes: int, prefetch: int, start_method: StartMethod, r
 def usable_cpus() -> int:
     """Count the CPUs that this process may use: its affinity, and the quota of its control group."""
     cpus = available_threads()
-    quota, _, period = _text(_CGROUP / "cpu.max").partition(" ")
+    quota, _, period = _read_text(_CGROUP / "cpu.max").partition(" ")
     if quota.isdecimal() and period.isdecimal() and int(period) > 0:
         cpus = min(cpus, max(1, int(quota) // int(period)))
     return cpus
@@ -457,9 +462,9 @@ def usable_cpus() -> int:
 
 def available_memory_bytes() -> int | None:
     """Return the memory that is free to use, the limit of the control group included; ``None`` if not known."""
-    lines = _text(Path("/proc/meminfo")).splitlines()
+    lines = _read_text(Path("/proc/meminfo")).splitlines()
     found = [int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")]
-    limit, used = (_text(_CGROUP / f"memory.{name}") for name in ("max", "current"))
+    limit, used = (_read_text(_CGROUP / f"memory.{name}") for name in ("max", "current"))
     if limit.isdecimal() and used.isdecimal():
         found.append(max(0, int(limit) - int(used)))
     return min(found, default=None)
@@ -477,7 +482,8 @@ def shared_memory_bytes() -> int | None:
 _CGROUP = Path("/sys/fs/cgroup")
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
+    """Read a file of the system, such as a limit of a control group; empty if it cannot be read."""
     try:
         return path.read_text(encoding="ascii").strip()
     except OSError:

@@ -200,4 +200,5 @@ class Noise2Noise(CroppedItems[Sample]):
         return item
 
     def _outline(self) -> list[tuple[str, str]]:
+        """Describe the dataset by names and values: the pairs' own, and how noisy frames are chosen."""
         return [("noisy frames", self._text), *self.pairs._outline()]

@@ -464,14 +464,15 @@ def _list_moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collec
     noisy = [row for row in manifest.records if row.path in chosen]
     scene_of: dict[str | None, str] = {}
     kept = []
-    for row, (frame, shot) in zip(noisy, map(_parse_numbers, noisy), strict=True):
+    for row, (frame, shot) in zip(noisy, map(_parse_frame_and_shot, noisy), strict=True):
         if shot in shots:
             scene_of[row.reference] = moment_name(row.scene, frame)
             kept.append(replace(row, scene=scene_of[row.reference]))
     return kept + [replace(row, scene=scene_of[row.path]) for row in manifest.records if row.path in scene_of]
 
 
-def _parse_numbers(row: FrameRecord) -> tuple[int, int]:
+def _parse_frame_and_shot(row: FrameRecord) -> tuple[int, int]:
+    """Parse the numbers of frame and shot in the name of a noisy file."""
     numbers = _FRAME.fullmatch(row.path)
     if numbers is None:
         raise ManifestError(f"{row.path}: expected a name such as frame1_noisy0.tiff, whose numbers say frame and shot")

@@ -88,10 +88,11 @@ class Rendered:
         return self.levels(Rendering.of(self.colours(sensors), self.response)(image))
 
     def __repr__(self) -> str:  # without the places in memory of functions: a training is known by it when it goes on
-        return f"Rendered({_name(self.colours)}, {self.response!r}, {_name(self.levels)})"
+        return f"Rendered({_name_of(self.colours)}, {self.response!r}, {_name_of(self.levels)})"
 
 
-def _name(function: object) -> str:
+def _name_of(function: object) -> str:
+    """Name a function, or else an object by its repr."""
     return getattr(function, "__name__", None) or repr(function)
 
 
@@ -128,9 +129,10 @@ class SourceSensors:
         """
         path, reference = sample["path"], sample.get("reference", sample["path"])
         noisy = reference if path.endswith(".npy") else path
-        return PairSensors(self._sensor(noisy), self._sensor(reference))
+        return PairSensors(self._find_sensor(noisy), self._find_sensor(reference))
 
-    def _sensor(self, path: str) -> Sensor:
+    def _find_sensor(self, path: str) -> Sensor:
+        """Find the sensor of a raw file, opened once; refuse other files."""
         if path not in self._known:
             sensor = self.source.frame(path).sensor
             if sensor is None:
@@ -220,7 +222,7 @@ class StagedPairs(Dataset[dict[str, Any]]):
         choose(epoch)
 
     def __repr__(self) -> str:
-        return f"StagedPairs({self.pairs!r}, stage_in={_name(self.stage_in)}, stage_out={_name(self.stage_out)})"
+        return f"StagedPairs({self.pairs!r}, stage_in={_name_of(self.stage_in)}, stage_out={_name_of(self.stage_out)})"
 
 
 def raw2rgb(pairs: Dataset[Any], *, response: Response = PAPER_GAMMA, sensors: SensorsOf | None = None) -> StagedPairs:

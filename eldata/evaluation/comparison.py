@@ -167,6 +167,7 @@ class Comparison:
         """
 
         def worst_gain_db(index: int) -> float:
+            """Find the lowest gain in PSNR of another method over the first, on one image."""
             first, *others = self.images[index]
             gains = [0.0 if score.psnr_db == first.psnr_db else score.psnr_db - first.psnr_db for score in others]
             return min((gain for gain in gains if not math.isnan(gain)), default=math.inf)
@@ -189,6 +190,7 @@ class Comparison:
         return f"Comparison({len(self.images)} common {self.kind.units}; PSNR {in_line(', '.join(texts))}{warned})"
 
     def _repr_html_(self) -> str:
+        """Render the table of means for notebooks."""
         means = means_table(self)
         heading = f"{len(self.names)} methods on {len(self.images)} common {self.kind.units}"
         return block(heading, table(means.header, means.rows, means.left), notes=self.warnings)
@@ -252,19 +254,20 @@ def compare(results: Mapping[str, EvaluationResult]) -> Comparison:
     return Comparison(
         results=dict(results),
         images=images,
-        groups=_groups(images, kind.metrics, first),
-        warnings=_warnings(results, len(images)),
-        contests=_contests(results, images, kind.metrics) if len(results) > 2 else (),
+        groups=_compare_groups(images, kind.metrics, first),
+        warnings=_write_warnings(results, len(images)),
+        contests=_compare_all(results, images, kind.metrics) if len(results) > 2 else (),
     )
 
 
 def _common_kind(results: Sequence[EvaluationResult]) -> Kind:
-    """Return the kind of the first with the columns that all have; a task of another label or direction is another."""
+    """Keep the columns that all results have; tasks of different label or direction are different columns."""
     first, *others = (result.kind for result in results)
     return replace(first, metrics=tuple(m for m in first.metrics if all(m in other.metrics for other in others)))
 
 
-def _groups(images: Images, metrics: Sequence[registry.Figure], result: EvaluationResult) -> tuple[Group, ...]:
+def _compare_groups(images: Images, metrics: Sequence[registry.Figure], result: EvaluationResult) -> tuple[Group, ...]:
+    """Average scores and differences to the first method in each group of camera and ratio."""
     names = [metric.name for metric in metrics]
     groups = []
     for camera, ratio in list_groups([(scores[0].camera, scores[0].ratio) for scores in images], result.dataset):
@@ -274,19 +277,20 @@ def _groups(images: Images, metrics: Sequence[registry.Figure], result: Evaluati
         places = list_clusters((scores[0] for scores in members), scenes_shared=result.scenes_shared)
         first, *others = zip(*members, strict=True)
         averages = tuple(means(scores, names) for scores in (first, *others))
-        gains = tuple(_differences(first, other, names, places) for other in others)
+        gains = tuple(_subtract(first, other, names, places) for other in others)
         groups.append(Group(camera, ratio, len(members), len(set(places)), averages, gains))
     return tuple(groups)
 
 
-def _contests(
+def _compare_all(
     results: Mapping[str, EvaluationResult], images: Images, metrics: Sequence[registry.Figure]
 ) -> tuple[Contest, ...]:
+    """Compare each method with each other, with p-values corrected for the number of comparisons."""
     names = [metric.name for metric in metrics]
     shared = next(iter(results.values())).scenes_shared
     places = list_clusters((scores[0] for scores in images), scenes_shared=shared)
     pairs = list(combinations(zip(results, zip(*images, strict=True), strict=True), 2))
-    gains = [_differences(first, other, names, places) for (_, first), (_, other) in pairs]
+    gains = [_subtract(first, other, names, places) for (_, first), (_, other) in pairs]
     corrected = iter(holm([difference.p_value for of in gains for difference in of.values()]))
     return tuple(
         Contest(first, other, of, {name: next(corrected) for name in of})
@@ -294,7 +298,7 @@ def _contests(
     )
 
 
-def _differences(
+def _subtract(
     first: Sequence[UnitScore], other: Sequence[UnitScore], names: Iterable[str], places: Sequence[Hashable]
 ) -> dict[str, Difference]:
     """Return the differences, the other's scores minus the first's, by the name of the value."""
@@ -309,15 +313,16 @@ def _differences(
 # --- warnings -----------------------------------------------------------------------------------------------------
 
 
-def _warnings(results: Mapping[str, EvaluationResult], common: int) -> tuple[str, ...]:
+def _write_warnings(results: Mapping[str, EvaluationResult], common: int) -> tuple[str, ...]:
+    """Warn of settings that differ between methods, and of images that some methods lack."""
     (name, first), *others = results.items()
     warnings = []
     for other, result in others:
         differences = [f"protocol: {words}" for words in first.scored_unlike(result)]
         a, b = first.provenance, result.provenance
-        differences += _differing(a, b, (*_NOT_DECIDING, *(_CHOOSING if first.chosen == result.chosen else ())))
+        differences += _list_differences(a, b, (*_NOT_DECIDING, *(_CHOOSING if first.chosen == result.chosen else ())))
         if a.get("task") is not None and b.get("task") is not None:
-            differences += [f"task {words}" for words in _differing(a["task"], b["task"])]
+            differences += [f"task {words}" for words in _list_differences(a["task"], b["task"])]
         warnings += [f"{name} and {other} may not compare: {words}" for words in differences]
     for name, result in results.items():
         scored, expected, kind = result.scored, result.expected, result.kind
@@ -330,15 +335,17 @@ def _warnings(results: Mapping[str, EvaluationResult], common: int) -> tuple[str
     return tuple(warnings)
 
 
-def _differing(first: Mapping[str, Any], second: Mapping[str, Any], ignored: Sequence[str] = ()) -> list[str]:
+def _list_differences(first: Mapping[str, Any], second: Mapping[str, Any], ignored: Sequence[str] = ()) -> list[str]:
+    """List the fields that differ, each in words with both values."""
     return [
-        f"{name.replace('_', ' ')}: {_value(first, name)} against {_value(second, name)}"
+        f"{name.replace('_', ' ')}: {_format_value(first, name)} against {_format_value(second, name)}"
         for name in dict.fromkeys((*first, *second))
         if name not in ignored and ((name in first) != (name in second) or first.get(name) != second.get(name))
     ]
 
 
-def _value(fields: Mapping[str, Any], name: str) -> str:
+def _format_value(fields: Mapping[str, Any], name: str) -> str:
+    """Format a field of a result's settings; a digest is shortened."""
     if name not in fields:
         return "not stated"
     value = fields[name]
@@ -353,7 +360,7 @@ def means_table(comparison: Comparison, times: str = "x") -> PaperTable:
     """Return the means of each method by group; what prints like the best of its row is :class:`Strong`."""
     kind = comparison.kind
     heads = [f"{name} {metric.unit or metric.label}" for name in comparison.names for metric in kind.metrics]
-    return _by_group(comparison, heads, [_mean_texts(group, kind) for group in comparison.groups], times)
+    return _lay_out(comparison, heads, [_mean_texts(group, kind) for group in comparison.groups], times)
 
 
 def gains_table(comparison: Comparison, index: int, times: str = "x") -> PaperTable:
@@ -361,7 +368,7 @@ def gains_table(comparison: Comparison, index: int, times: str = "x") -> PaperTa
     kind = comparison.kind
     heads = ["scenes", *(head for metric in kind.metrics for head in (metric.heading, f"{LEVEL:.0%} interval", "p"))]
     texts = [[str(group.scenes), *_gain_texts(group.gains[index], kind)] for group in comparison.groups]
-    return _by_group(comparison, heads, texts, times)
+    return _lay_out(comparison, heads, texts, times)
 
 
 def contests_table(comparison: Comparison) -> PaperTable:
@@ -384,7 +391,8 @@ def contests_note(comparison: Comparison) -> str:
     )
 
 
-def _by_group(comparison: Comparison, heads: Sequence[str], texts: Sequence[Sequence[str]], times: str) -> PaperTable:
+def _lay_out(comparison: Comparison, heads: Sequence[str], texts: Sequence[Sequence[str]], times: str) -> PaperTable:
+    """Lay out texts as a table, a row for each group of camera and ratio, with its number of images."""
     counted = [(str(group.images), *cells) for group, cells in zip(comparison.groups, texts, strict=True)]
     groups = [(group.camera, group.ratio) for group in comparison.groups]
     return grouped_table(groups, (comparison.kind.units, *heads), counted, times)

@@ -176,11 +176,11 @@ def choose_frames(frames: Iterable[tuple[str, str, float | None, float]]) -> fro
             parts += [(members, EACH) for members in groups]
         else:
             parts.append(([member for members in groups for member in members], EACH * MOST_FACTORS))
-    return frozenset(path for turn, (members, most) in enumerate(parts) for path in _spread(members, most, turn))
+    return frozenset(path for turn, (members, most) in enumerate(parts) for path in _spread_choice(members, most, turn))
 
 
-def _spread(members: Sequence[tuple[float, str]], most: int, turn: int) -> Iterator[str]:
-    """Yield paths from all over a list, others each turn and not at equal distances: there the scenes repeat."""
+def _spread_choice(members: Sequence[tuple[float, str]], most: int, turn: int) -> Iterator[str]:
+    """Yield paths spread over a list, others each turn, at unequal distances, since scenes repeat at equal ones."""
     count = min(most, len(members))
     for index in range(count):
         part = (turn + index + 0.5) * _GOLDEN % 1
@@ -200,17 +200,18 @@ def find_suspicions(inspections: Sequence[Inspection]) -> tuple[Suspicion, ...]:
 
     A prediction of another frame is a mistake wherever it occurs.
     """
-    return (*_find_exchanged(inspections), *_shared_mistakes(inspections, min(2, len(inspections))))
+    return (*_find_exchanged(inspections), *_find_shared_mistakes(inspections, min(2, len(inspections))))
 
 
-def _shared_mistakes(inspections: Sequence[Inspection], fewest: int, depth: int = 0) -> list[Suspicion]:
+def _find_shared_mistakes(inspections: Sequence[Inspection], fewest: int, depth: int = 0) -> list[Suspicion]:
+    """Find the mistakes of whole groups: all frames, else a camera's, else a camera and factor's."""
     suspicions = []
-    for where, members in _group(inspections, _PLACES[depth]).items():
-        shared = _shared_mistake(members, where, fewest)
+    for where, members in _group_by(inspections, _PLACES[depth]).items():
+        shared = _find_shared_mistake(members, where, fewest)
         if shared is not None:
             suspicions.append(shared)
         elif depth + 1 < len(_PLACES):
-            suspicions += _shared_mistakes(members, fewest, depth + 1)
+            suspicions += _find_shared_mistakes(members, fewest, depth + 1)
     return suspicions
 
 
@@ -255,16 +256,17 @@ def _find_exchanged(inspections: Sequence[Inspection]) -> list[Suspicion]:
     return [Suspicion(words, "", len(exchanged), len(inspections), score, None, first.path)]
 
 
-def _group(inspections: Sequence[Inspection], key: Callable[[Inspection], Any]) -> dict[Any, list[Inspection]]:
+def _group_by(inspections: Sequence[Inspection], key: Callable[[Inspection], Any]) -> dict[Any, list[Inspection]]:
+    """Group inspections by a key."""
     groups: dict[Any, list[Inspection]] = defaultdict(list)
     for inspection in inspections:
         groups[key(inspection)].append(inspection)
     return groups
 
 
-def _shared_mistake(inspections: Sequence[Inspection], where: str, fewest: int) -> Suspicion | None:
+def _find_shared_mistake(inspections: Sequence[Inspection], where: str, fewest: int) -> Suspicion | None:
     """Return the mistake that most of these frames show, if there is one."""
-    showing = _group(inspections, lambda inspection: inspection.mistake and inspection.mistake.words)
+    showing = _group_by(inspections, lambda inspection: inspection.mistake and inspection.mistake.words)
     showing.pop(None, None)
     words, most = max(showing.items(), key=lambda item: len(item[1]), default=("", []))
     if not most or len(most) < max(_SHARE * len(inspections), fewest):

@@ -291,6 +291,7 @@ def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
 def _make_result(
     request: Request, plan: ScoringPlan, found: FoundPredictions, outcomes: Sequence[PairOutcome]
 ) -> EvaluationResult:
+    """Make the result of one request from the outcomes of its pairs."""
     suspicions = find_suspicions([outcome.inspection for outcome in outcomes if outcome.inspection is not None])
     refused = [
         EvaluationProblem(str(request.predictions), str(suspicion)) for suspicion in suspicions if request.strict

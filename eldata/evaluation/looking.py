@@ -44,14 +44,15 @@ def strips_of(
     """
     from eldata.plots.scores import Strip
 
-    def group_of(score: UnitScore) -> str:
+    def name_group(score: UnitScore) -> str:
+        """Name the group of a score, its camera or its ISO."""
         if by == "camera":
             return score.camera
         return f"ISO {score.iso:g}" if score.iso else "not known"
 
     members: dict[tuple[str, float | None], list[UnitScore]] = defaultdict(list)
     for score in sorted(scores, key=lambda score: score.iso) if by == "iso" else scores:
-        members[group_of(score), score.ratio].append(score)
+        members[name_group(score), score.ratio].append(score)
     return [
         Strip(
             group,
@@ -76,11 +77,12 @@ def worst_and_best(scores: Iterable[UnitScore], each: int) -> tuple[list[UnitSco
     None is both: of few, the worst come first.
     """
     known = sorted((score for score in scores if not math.isnan(score.psnr_db)), key=lambda score: score.psnr_db)
-    worst = _first_of_scenes(known)[:each]
-    return worst, _first_of_scenes([score for score in reversed(known) if score not in worst])[:each]
+    worst = _keep_first_of_scenes(known)[:each]
+    return worst, _keep_first_of_scenes([score for score in reversed(known) if score not in worst])[:each]
 
 
-def _first_of_scenes(scores: Iterable[UnitScore]) -> list[UnitScore]:
+def _keep_first_of_scenes(scores: Iterable[UnitScore]) -> list[UnitScore]:
+    """Keep the first score of each scene."""
     first: dict[tuple[str, str], UnitScore] = {}
     for score in scores:
         first.setdefault(score.place, score)
@@ -127,19 +129,20 @@ class ScoredImage:
             If a file is no longer what was scored.
         """
         first, shown = self.protocols[0], self.frames[0].path
-        reference = read_reference(self._scoring(first), self.pair.reference_of(shown) or "")
+        reference = read_reference(self._make_scoring(first), self.pair.reference_of(shown) or "")
         predictions: list[NDArray[Any]] = []
         for frame, file, protocol in zip(self.frames, self.files, self.protocols, strict=True):
-            values, _ = read_prediction(self._scoring(protocol), self.pair, frame.path, file, reference)
+            values, _ = read_prediction(self._make_scoring(protocol), self.pair, frame.path, file, reference)
             factor = 1.0 if math.isnan(frame.rescale) else frame.rescale
             predictions.append(treat_prediction(values, protocol.rules, factor, np.float32))
         amplified: NDArray[Any] | None = None
         if first.pixels != "srgb" or first.is_of_packed:
-            amplified, _ = read_input(self._scoring(first), self.pair, shown, reference[0])
+            amplified, _ = read_input(self._make_scoring(first), self.pair, shown, reference[0])
         sensor = reference[0].sensor if first.pixels == "packed" else None
         return SeenImage(shown, amplified, tuple(predictions), reference[1], sensor)
 
-    def _scoring(self, protocol: Protocol) -> Scoring:
+    def _make_scoring(self, protocol: Protocol) -> Scoring:
+        """Make the settings to decode images as a protocol scores them."""
         shading = None if protocol.dark_shading == NO_SHADING else self.dark_shading
         return Scoring(self.dataset, protocol, shading)
 
@@ -214,7 +217,7 @@ def place_of_difference(errors: Sequence[NDArray[Any]], size: tuple[int, int]) -
 def worst_and_best_images(
     result: EvaluationResult, each: int, *, predictions: Path | None, **where: Any
 ) -> tuple[tuple[str, UnitScore, ScoredImage], ...]:
-    """Return the worst and the best of a result, what they are (``Worst`` or ``Best``) and what to decode of them.
+    """Choose a result's worst and best images, each labelled ``Worst`` or ``Best``, with its files to decode.
 
     Parameters
     ----------

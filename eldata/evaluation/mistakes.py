@@ -112,13 +112,13 @@ class Blocks:
 
 
 def cut_margin(blocks: Array, down: int = 0, right: int = 0) -> Array:
-    """Return the blocks without their margin, or what lies so far from there, (C, entries)."""
+    """Cut the margin off the blocks, or take the pixels so far down and right of there, (C, entries)."""
     side = blocks.shape[1] - 2 * MARGIN
     y, x = MARGIN + down, MARGIN + right
     return blocks[:, y : y + side, :, x : x + side].reshape(len(blocks), -1)
 
 
-def _cell_means(blocks: Array) -> Array:
+def _average_cells(blocks: Array) -> Array:
     """Return the means of the cells of 4 x 4 pixels in the blocks without their margin."""
     channels, side, count, _ = blocks.shape
     inner = blocks[:, MARGIN : side - MARGIN, :, MARGIN : side - MARGIN]
@@ -176,9 +176,9 @@ def find_place(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstance
         if least_db == SHIFT_GAIN_DB:
             continue
         agreement = values @ g.T
-        for order in _orders(agreement):
+        for order in _list_orders(agreement):
             error = squared_error(float(agreement[np.arange(len(order)), order].sum()), power)
-            both = " and ".join(filter(None, (words, _order_words(order, now.sensor))))
+            both = " and ".join(filter(None, (words, _describe_order(order, now.sensor))))
             candidates.append((error, (f"as if {both}", _undo_order(order, undo), GAIN_DB)))
     least = min(error for error, _ in candidates)
     if least * 10 ** (_SCREENED_GAIN_DB / 10) > error_now:
@@ -212,7 +212,7 @@ def _list_mosaic_entries(cfa: CfaRows, shape: tuple[int, ...]) -> dict[tuple[int
     }
 
 
-def _orders(agreement: Array) -> Iterator[Sequence[int]]:
+def _list_orders(agreement: Array) -> Iterator[Sequence[int]]:
     """Yield orders of channels, likelier ones first: which channel of the reference lies at each place.
 
     Parameters
@@ -231,7 +231,8 @@ def _orders(agreement: Array) -> Iterator[Sequence[int]]:
     yield tuple(int(channel) for channel in linear_sum_assignment(agreement, maximize=True)[1])
 
 
-def _order_words(order: Sequence[int], sensor: Sensor | None) -> str:
+def _describe_order(order: Sequence[int], sensor: Sensor | None) -> str:
+    """Describe an order of channels in words."""
     if sensor is None:
         return f"in the order {', '.join('RGB'[channel] for channel in order)}"
     if len(order) == len(BAYER_CHANNELS):
@@ -249,6 +250,7 @@ def _undo_shift(down: int, right: int) -> Change:
     """Return the function that moves an image back, mirrored at the edges, which keeps a mosaic's phase."""
 
     def undo(image: Array) -> Array:
+        """Move an image (..., H, W) back."""
         for axis, by in ((-2, down), (-1, right)):
             last = image.shape[axis] - 1
             index = np.abs(np.arange(last + 1) + by)
@@ -259,6 +261,7 @@ def _undo_shift(down: int, right: int) -> Change:
 
 
 def _undo_mosaic_shift(down: int, right: int, cfa: CfaRows) -> Change:
+    """Return the function that moves a packed image back, unpacked to its mosaic."""
     back = _undo_shift(down, right)
     return lambda image: pack(back(unpack(np.ascontiguousarray(image), cfa)), cfa)
 
@@ -295,26 +298,31 @@ class _Curve:
         return self.scale is not None and 1 / factor < self.scale < factor
 
 
-def _srgb_encode(linear: Array) -> Array:
+def _encode_srgb(linear: Array) -> Array:
+    """Apply the sRGB transfer curve to linear values."""
     linear = np.clip(linear, 0, None)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-def _srgb_decode(encoded: Array) -> Array:
+def _decode_srgb(encoded: Array) -> Array:
+    """Linearise values that have the sRGB transfer curve."""
     encoded = np.clip(encoded, 0, None)
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
-def _power(exponent: float) -> Change:
+def _make_power(exponent: float) -> Change:
+    """Make the function that raises values to an exponent."""
     return lambda values: np.clip(values, 0, None) ** exponent
 
 
-def _line(words: str, slope: float, offset: float) -> _Curve:
+def _make_line(words: str, slope: float, offset: float) -> _Curve:
+    """Make the curve of a line, with the inverse that undoes it."""
     back, start = 1 / slope, -offset / slope
     return _Curve(words, lambda t: slope * t + offset, lambda p: back * p + start, remains=_OFFSET_REMAINS)
 
 
-def _factor(words: str, scale: float) -> _Curve:
+def _make_factor(words: str, scale: float) -> _Curve:
+    """Make the curve of a mere factor, with the inverse that undoes it."""
     return _Curve(words, lambda t: scale * t, lambda p: 1 / scale * p, scale)
 
 
@@ -326,45 +334,45 @@ def _find_levels(now: Circumstances, sensor: Sensor) -> tuple[float, tuple[float
     return float(np.mean(leveled.black_level_dn)), tuple(whites)
 
 
-def _curves(now: Circumstances) -> Iterator[_Curve]:
+def _list_curves(now: Circumstances) -> Iterator[_Curve]:
     """Yield the curves to try, likelier ones first."""
     encoded, again = "as if encoded for a screen (gamma)", "as if made linear once more (gamma)"
-    yield _Curve(encoded, _srgb_encode, _srgb_decode)
-    yield _Curve(encoded, _power(1 / 2.2), _power(2.2))
-    yield _Curve(again, _srgb_decode, _srgb_encode)
-    yield _Curve(again, _power(2.2), _power(1 / 2.2))
-    yield _line("as if inverted (1 - value)", -1, 1)
-    yield _line("as if in [-1, 1], not in [0, 1]", 2, -1)
+    yield _Curve(encoded, _encode_srgb, _decode_srgb)
+    yield _Curve(encoded, _make_power(1 / 2.2), _make_power(2.2))
+    yield _Curve(again, _decode_srgb, _encode_srgb)
+    yield _Curve(again, _make_power(2.2), _make_power(1 / 2.2))
+    yield _make_line("as if inverted (1 - value)", -1, 1)
+    yield _make_line("as if in [-1, 1], not in [0, 1]", 2, -1)
     if now.sensor is None:
         return
     black, whites = _find_levels(now, now.sensor)
     span = whites[0] - black
     if black > 0:
         for white in whites:
-            yield _line("as if black were not subtracted", span / white, black / white)
-        yield _line("as if DN were divided by 65535", span / 65535, black / 65535)
+            yield _make_line("as if black were not subtracted", span / white, black / white)
+        yield _make_line("as if DN were divided by 65535", span / 65535, black / 65535)
         twice = black / span
         yield _Curve("as if black were subtracted twice", lambda t: np.maximum(t - twice, 0), None)
-    yield _factor("as if DN were divided by 65535", span / 65535)
+    yield _make_factor("as if DN were divided by 65535", span / 65535)
     for white in whites:
         if black > 0:
-            yield _factor(f"as if DN were divided by {white:g}, black included", span / white)
-        yield _factor(f"as if normalised with white level {white:g}, not {whites[0]:g}", span / (white - black))
+            yield _make_factor(f"as if DN were divided by {white:g}, black included", span / white)
+        yield _make_factor(f"as if normalised with white level {white:g}, not {whites[0]:g}", span / (white - black))
     if now.ratio is not None and now.ratio >= _LEAST_RATIO:
         ratio = now.ratio
-        yield _factor("as if not amplified", 1 / ratio)
+        yield _make_factor("as if not amplified", 1 / ratio)
         yield _Curve("as if amplified twice", lambda t: np.clip(t * ratio, 0, 1), None)
 
 
 def find_curve(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstances) -> Undoing | None:
     """Return the mistake on whose curve the mean predictions lie, by level of the reference."""
     rescales = now.protocol.rules.rescaling != "none"
-    response = _Response(_cell_means(g))
-    levels, means = response.levels, response.means(_cell_means(p))
+    response = _Response(_average_cells(g))
+    levels, means = response.levels, response.means(_average_cells(p))
     if len(levels) < _FEWEST_LEVELS:
         return None
     best: tuple[float, Undoing] | None = None
-    for mistake in _curves(now):
+    for mistake in _list_curves(now):
         is_large = mistake.scale is not None and not mistake.is_scale_within(_FAR)
         if mistake.scale is not None and not is_large:
             off = response.factor(means, levels) / mistake.scale
@@ -376,10 +384,10 @@ def find_curve(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstance
         if response.distance(means, mistake.curve(levels), _BRIGHTNESS) > _COARSE * before:
             continue
         if mistake.undo is None:  # exact where the curve is bent within a cell
-            after = response.distance(means, response.means(_cell_means(mistake.curve(g))), _BRIGHTNESS)
+            after = response.distance(means, response.means(_average_cells(mistake.curve(g))), _BRIGHTNESS)
         else:  # where noise is strong too, and of the reference's size
             before = response.distance(levels, means, most)
-            after = response.distance(levels, response.means(_cell_means(mistake.undo(p))), _BRIGHTNESS)
+            after = response.distance(levels, response.means(_average_cells(mistake.undo(p))), _BRIGHTNESS)
         if before > _LEAST_OFF and after < mistake.remains * before and (best is None or after < best[0]):
             best = after, (mistake.words, None if is_large and rescales else mistake.undo, GAIN_DB)
     return None if best is None else best[1]

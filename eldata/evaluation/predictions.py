@@ -58,7 +58,7 @@ def stem_of(path: str) -> str:
 
 
 def is_read(name: str) -> bool:
-    """Check a file's extension against those of predictions."""
+    """Check that a file has an extension of predictions."""
     return Path(name).suffix.lower() in EXTENSIONS
 
 
@@ -212,6 +212,7 @@ def find_predictions(
             missing.append(EvaluationProblem(place, reason))
 
     def count_others(paths: Iterable[str]) -> int:
+        """Count the files named like these paths, and take them from the files that are left."""
         return sum(len(by_stem.pop(stem, ())) for stem in set(map(stem_of, paths)))
 
     unscored = count_others(known)
@@ -461,6 +462,7 @@ def _check_colours(path: Path, shape: tuple[int, int, int], declared: Declared, 
 
 
 def _check_type(path: Path, declared: Declared) -> None:
+    """Refuse numbers that are neither uint16 nor floating-point."""
     if declared.values not in ("uint16", "float16", "float32", "float64"):
         raise PredictionError(
             path, f"expected float in [0, 1] or uint16 with 65535 = 1.0, found {declared.values}; convert it"

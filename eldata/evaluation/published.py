@@ -102,7 +102,7 @@ class PublishedRow:
     @property
     def place(self) -> str:
         """Camera and factor as text."""
-        return f"{self.camera} {_factors_text(self.ratio)}"
+        return f"{self.camera} {_name_factors(self.ratio)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,12 +121,13 @@ def shipped_published() -> PublishedTables:
     """Read the published numbers that come with the package: ``sources.json`` and every ``*.csv``."""
     folder = shipped_folder() / "published"
     top = TextFile(folder / "sources.json", ManifestError).json()
-    sources = {key: _source(key, top.inside(key)) for key in top.data}
+    sources = {key: _read_source(key, top.inside(key)) for key in top.data}
     files = [TextFile(path, ManifestError) for path in sorted(folder.glob("*.csv"))]
-    return PublishedTables(sources, tuple(_row(cells, sources) for file in files for cells in file.rows(COLUMNS)))
+    return PublishedTables(sources, tuple(_read_row(cells, sources) for file in files for cells in file.rows(COLUMNS)))
 
 
-def _source(key: str, entry: Fields) -> PublishedSource:
+def _read_source(key: str, entry: Fields) -> PublishedSource:
+    """Read a source of published numbers: citation, address, tables."""
     entry.only([name for name in names_of(PublishedSource) if name != "key"])
     tables = entry.inside("tables")
     commit = None if entry.value("commit") is None else entry.text("commit")
@@ -136,7 +137,8 @@ def _source(key: str, entry: Fields) -> PublishedSource:
     return PublishedSource(key, **texts, commit=commit, tables=titles, known=known, unknown=unknown)
 
 
-def _row(row: TextRow, sources: dict[str, PublishedSource]) -> PublishedRow:
+def _read_row(row: TextRow, sources: dict[str, PublishedSource]) -> PublishedRow:
+    """Read a published number from a row of CSV."""
     source = sources[row.choice("source", tuple(sources))]
     return PublishedRow(
         source=source.key,
@@ -227,16 +229,16 @@ def comparison_table(result: EvaluationResult | Mapping[str, Any], *, name: str 
     rows = [row for row in tables.rows if row.dataset == mine.dataset]
     if not rows:
         return f"no published numbers on {mine.dataset} are known to eldata"
-    reasons = {row: _why_not(row, mine) for row in rows}
+    reasons = {row: _explain_mismatch(row, mine) for row in rows}
     alike = [row for row in rows if reasons[row] is None]
     stated = mine.provenance.get("subset")
     subset = f", subset {stated}" if stated else ""
     lines = [f"published numbers on {mine.dataset}, protocol {mine.protocol.name}{subset}", ""]
-    lines += _tables_by_place(alike, mine, name, tables) or ["None compares with this result.", ""]
+    lines += _write_tables(alike, mine, name, tables) or ["None compares with this result.", ""]
     if mine.of_input:
-        lines += [*_input_check([row for row in rows if row.method == NOISY_INPUT], reasons, mine), ""]
+        lines += [*_check_input([row for row in rows if row.method == NOISY_INPUT], reasons, mine), ""]
     if alike:
-        lines += _remarks(alike, tables)
+        lines += _write_remarks(alike, tables)
     others = [row for row in rows if reasons[row] is not None]
     if others:
         lines.append("not compared:")
@@ -244,16 +246,16 @@ def comparison_table(result: EvaluationResult | Mapping[str, Any], *, name: str 
     return "\n".join(lines).rstrip()
 
 
-def _why_not(row: PublishedRow, mine: EvaluationResult) -> str | None:
+def _explain_mismatch(row: PublishedRow, mine: EvaluationResult) -> str | None:
     """Explain why a published number does not compare with a result; ``None`` if it does."""
     if not row.protocols:
         return f"under no protocol that is known for certain: {row.note}"
     differences = [mine.scored_unlike(PROTOCOLS[name]) for name in row.protocols]
     if [] not in differences:
-        return _other_scoring(row, mine, differences)
-    mean, subset = _mean_for(row, mine), mine.provenance.get("subset")
+        return _describe_scoring(row, mine, differences)
+    mean, subset = _find_mean(row, mine), mine.provenance.get("subset")
     if row.subset != subset:
-        return f"published for {_subset_text(row.subset)}; yours is {_subset_text(subset)}"
+        return f"published for {_name_subset(row.subset)}; yours is {_name_subset(subset)}"
     if mean is None:
         return "not in your table"
     if mean.scored < mean.pairs:
@@ -263,8 +265,8 @@ def _why_not(row: PublishedRow, mine: EvaluationResult) -> str | None:
     return None
 
 
-def _other_scoring(row: PublishedRow, mine: EvaluationResult, differences: list[list[str]]) -> str:
-    """Return in words how a published number was scored differently, by the protocol that is nearest."""
+def _describe_scoring(row: PublishedRow, mine: EvaluationResult, differences: list[list[str]]) -> str:
+    """Describe the differences in scoring of a published number, by its protocol that is nearest to the result's."""
     name, theirs = mine.protocol.name, " or ".join(row.protocols)
     nearest = min(differences, key=len)
     more = f" and {len(nearest) - _DIFFERENCES_SHOWN} more" if len(nearest) > _DIFFERENCES_SHOWN else ""
@@ -274,21 +276,21 @@ def _other_scoring(row: PublishedRow, mine: EvaluationResult, differences: list[
     return f"published for {theirs}; yours is {name} ({words})"
 
 
-def _mean_for(row: PublishedRow, mine: EvaluationResult) -> TableRow | None:
+def _find_mean(row: PublishedRow, mine: EvaluationResult) -> TableRow | None:
+    """Find a result's mean over the same camera and ratio as a published number; ``None`` if it has none."""
     means = {(mean.camera, mean.ratio): mean for mean in mine.table}
     is_only_camera = {camera for camera, _ in means if camera is not None} <= {row.camera}
     over_all = means.get((None, row.ratio)) if is_only_camera else None  # a mean over all cameras is one over this
     return means.get((row.camera, row.ratio), over_all)
 
 
-def _tables_by_place(
-    alike: list[PublishedRow], mine: EvaluationResult, name: str, tables: PublishedTables
-) -> list[str]:
+def _write_tables(alike: list[PublishedRow], mine: EvaluationResult, name: str, tables: PublishedTables) -> list[str]:
+    """Write a table for each camera and ratio: published methods and this result, the best PSNR first."""
     lines: list[str] = []
     labels = {key: source.label for key, source in tables.sources.items()}
     for place in dict.fromkeys((row.camera, row.ratio) for row in alike):
         rows = [row for row in alike if (row.camera, row.ratio) == place]
-        mean = next(filter(None, (_mean_for(row, mine) for row in rows)))
+        mean = next(filter(None, (_find_mean(row, mine) for row in rows)))
         entries: list[tuple[str, str, float, float | None, float | None]] = [
             (f"> {name}", "", mean.psnr_db, mean.ssim, mean.values.get("st_rred")),
             *((f"  {row.method}", labels[row.source], row.psnr_db, row.ssim, row.st_rred) for row in rows),
@@ -305,26 +307,27 @@ def _tables_by_place(
     return lines
 
 
-def _input_check(
+def _check_input(
     published: list[PublishedRow], reasons: dict[PublishedRow, str | None], mine: EvaluationResult
 ) -> list[str]:
     """Compare the noisy input's own scores with the published ones: a sentence per group, and what follows."""
     published = [row for row in published if row.protocols]
     if not published:
         return [f"the noisy input: no published score of it on {mine.dataset} is known, so this checks nothing"]
-    beside = [(row, mean) for row in published if reasons[row] is None and (mean := _mean_for(row, mine)) is not None]
+    beside = [(row, mean) for row in published if reasons[row] is None and (mean := _find_mean(row, mine)) is not None]
     if not beside:
         reason = "; ".join(dict.fromkeys(str(reasons[row]) for row in published))
         name, camera = published[0].protocols[0], published[0].camera
         lines = [f"the noisy input: its published scores are not beside yours ({reason});"]
         return [*lines, f"  --protocol {name}, over all pairs of {camera}, checks files, levels, ratios and metric"]
     lines = ["the noisy input, whose scores check files, levels, ratios and metric:"]
-    lines += [f"  {_agreement(row, mean)}" for row, mean in beside]
+    lines += [f"  {_describe_agreement(row, mean)}" for row, mean in beside]
     lines += [f"  {row.place} is not checked: {reasons[row]}" for row in published if reasons[row] is not None]
-    return [*lines, f"  {_what_follows(beside)}"]
+    return [*lines, f"  {_conclude(beside)}"]
 
 
-def _agreement(row: PublishedRow, mean: TableRow) -> str:
+def _describe_agreement(row: PublishedRow, mean: TableRow) -> str:
+    """Compare a published score of the noisy input with the user's own, in a sentence."""
     printed = f"{row.psnr_db:.2f} dB" if row.ssim is None else f"{row.psnr_db:.2f} dB and {row.ssim:.4f}"
     values = f"{printed} published, yours {mean.psnr_db:.3f} and {mean.ssim:.5f}"
     if _is_within(_AS_PUBLISHED, row, mean):
@@ -333,7 +336,8 @@ def _agreement(row: PublishedRow, mean: TableRow) -> str:
     return f"{row.place} {'is near' if _is_within(_NEAR, row, mean) else 'DOES NOT AGREE'}: {values} ({by})"
 
 
-def _what_follows(beside: list[tuple[PublishedRow, TableRow]]) -> str:
+def _conclude(beside: list[tuple[PublishedRow, TableRow]]) -> str:
+    """Conclude from the noisy input's scores whether files, levels, ratios and metric are right."""
     off = [row for row, mean in beside if not _is_within(_NEAR, row, mean)]
     if not off:
         return "so files, levels, ratios and metric are right: every mistake that was tried moves these scores more"
@@ -348,10 +352,12 @@ def _differences(row: PublishedRow, mean: TableRow) -> tuple[float, ...]:
 
 
 def _is_within(limits: tuple[float, float], row: PublishedRow, mean: TableRow) -> bool:
+    """Check that PSNR and SSIM differ from the published ones by no more than their limits."""
     return all(abs(value) <= limit for value, limit in zip(_differences(row, mean), limits, strict=False))
 
 
-def _remarks(alike: list[PublishedRow], tables: PublishedTables) -> list[str]:
+def _write_remarks(alike: list[PublishedRow], tables: PublishedTables) -> list[str]:
+    """Write the notes on published numbers, their sources, and the open questions on these."""
     notes = [f"note: {row.method}, {row.place}: {row.note}" for row in alike if row.note]
     lines = [line for text in notes for line in wrapped(text)]
     for key in dict.fromkeys(row.source for row in alike):
@@ -364,6 +370,7 @@ def _remarks(alike: list[PublishedRow], tables: PublishedTables) -> list[str]:
 def _list_others(
     others: list[PublishedRow], reasons: dict[PublishedRow, str | None], tables: PublishedTables
 ) -> list[str]:
+    """List the numbers that do not compare with a result, by table and reason, as lines of text."""
     lines = []
     for source, table in dict.fromkeys((row.source, row.table) for row in others):
         rows = [row for row in others if (row.source, row.table) == (source, table)]
@@ -376,7 +383,7 @@ def _list_others(
     return lines
 
 
-def _subset_text(subset: str | None) -> str:
+def _name_subset(subset: str | None) -> str:
     return "no named subset" if subset is None else f"subset {subset}"
 
 
@@ -384,9 +391,10 @@ def _places(rows: list[PublishedRow]) -> str:
     """Return cameras and factors as text, each camera once: ``NikonD850 x100, x200``."""
     factors: dict[str, dict[str, None]] = {}
     for row in rows:
-        factors.setdefault(row.camera, {})[_factors_text(row.ratio)] = None
+        factors.setdefault(row.camera, {})[_name_factors(row.ratio)] = None
     return "; ".join(f"{camera} {', '.join(texts)}" for camera, texts in factors.items())
 
 
-def _factors_text(ratio: float | None) -> str:
+def _name_factors(ratio: float | None) -> str:
+    """Name a ratio, such as ``x100``; ``None`` is a mean over all."""
     return "all factors" if ratio is None else factor_text(ratio)

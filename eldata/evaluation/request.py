@@ -136,7 +136,7 @@ def make_request(
         manifest=known,
         folder=known.folder(root),
         predictions=None if predictions is None else Path(predictions),
-        protocol=_state_shading(_protocol(protocol, known), dark_shading),
+        protocol=_state_shading(_choose_protocol(protocol, known), dark_shading),
         cameras=cameras,
         subset=subset,
         ids=ids,
@@ -171,7 +171,7 @@ def is_own(manifest: Manifest) -> bool:
     return manifest.name not in shipped_names() and (default.kind is IMAGES or not default.covers(manifest.name))
 
 
-def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:
+def _choose_protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:
     """Return the protocol to score with, which has to be for the dataset.
 
     A set of one's own may be scored by any protocol of images, and as sequences.
@@ -220,7 +220,7 @@ def stated_setting(folder: Path, name: str) -> str | None:
 
 
 def _check_inputs(request: Request, folder: Path) -> None:
-    """Check that the folder's own words on what its predictions were made of do not contradict the request."""
+    """Check that the folder's own file, which states the predictions' inputs, does not contradict the request."""
     protocol = request.protocol
     if protocol.is_of_packed and protocol.pixels == "srgb":
         for name in ("input_space", "response"):
@@ -317,9 +317,9 @@ def plan_scoring(request: Request, *, unscored: bool = False) -> ScoringPlan:
     """
     protocol = request.protocol
     if isinstance(protocol, ClipProtocol):
-        plan = _clip_plan(request, protocol)
+        plan = _plan_clips(request, protocol)
     else:
-        plan = _image_plan(request, protocol, unscored)
+        plan = _plan_images(request, protocol, unscored)
     if request.dark_shading is not None:
         _check_shading(protocol, plan.pairs, dark_shading_in(request.dark_shading))
     return plan
@@ -345,7 +345,8 @@ def _check_shading(protocol: Protocol, pairs: Sequence[Pair], shading: DarkShadi
 # --- images -----------------------------------------------------------------------------------------------------------
 
 
-def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> ScoringPlan:
+def _plan_images(request: Request, protocol: Protocol, unscored: bool) -> ScoringPlan:
+    """Choose the pairs to score, and state their subset, ratios and flags."""
     records, subsets = request.manifest.records, request.manifest.card.subsets
     set_aside: list[str] = []
     if is_own(request.manifest):
@@ -364,7 +365,7 @@ def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> Scoring
     candidates = choice.pairs(records, subsets)
     pairs = replace(choice, exclude_flags=request.exclude_flags).pairs(records, subsets)
     facts = {"subset": subset, "ratios": sorted({float(pair.ratio) for pair in pairs}), "set_aside": set_aside}
-    flags = _flag_facts(request, (pair.flags for pair in pairs), (pair.flags for pair in candidates))
+    flags = _count_flags(request, (pair.flags for pair in pairs), (pair.flags for pair in candidates))
     return ScoringPlan(pairs, facts | flags)
 
 
@@ -413,7 +414,7 @@ def _check_choice(request: Request, protocol: Protocol) -> None:
         )
 
 
-def _flag_facts(
+def _count_flags(
     request: Request, chosen: Iterable[tuple[str, ...]], candidates: Iterable[tuple[str, ...]]
 ) -> dict[str, dict[str, int]]:
     """Count the chosen pairs with each flag, and the candidates with each of the flags to leave out."""
@@ -425,7 +426,7 @@ def _flag_facts(
 # --- clips ------------------------------------------------------------------------------------------------------------
 
 
-def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
+def _plan_clips(request: Request, protocol: ClipProtocol) -> ScoringPlan:
     """Return the windows; the numbering of all frames of their clips is checked."""
     require_folder(request)
     manifest, subsets, subset = request.manifest, request.manifest.card.subsets, None
@@ -464,7 +465,7 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
     ids = None if request.ids is None else sorted(request.ids)
     flags = ({row.scene: row.flags for row in each if row.role == "noisy"}.values() for each in (rows, candidates))
     facts = {"subset": subset, "ids": ids, "layout": describe_layout(listed)}
-    return ScoringPlan(found, facts | _flag_facts(request, *flags))
+    return ScoringPlan(found, facts | _count_flags(request, *flags))
 
 
 # --- the files --------------------------------------------------------------------------------------------------------

@@ -128,12 +128,12 @@ class EvaluationResult:
 
     @property
     def scored(self) -> int:
-        """How many were scored."""
+        """The number of scored images or clips."""
         return len(self.scores)
 
     @property
     def whole(self) -> TableRow:
-        """The means over all."""
+        """The table's row of means over all."""
         return self.table[-1]
 
     @property
@@ -157,7 +157,7 @@ class EvaluationResult:
         return self.provenance.get("predictions") == THE_INPUT
 
     def scored_unlike(self, other: EvaluationResult | Protocol) -> list[str]:
-        """Return in words how another result or protocol scores differently; nothing if alike.
+        """Describe the differences in scoring of another result or protocol; nothing if alike.
 
         Not counted are the choice of pairs, names, and what came to the same on the scored files (``equal_choices``).
         The noisy input counts where it was scored itself.
@@ -269,12 +269,13 @@ class EvaluationResult:
                 f"INCOMPLETE: {len(self.missing)} {self.kind.counted} are not in these means, so they do not compare "
                 "with others"
             )
-        for text in self._remarks:
+        for text in self._remark_lines:
             lines += wrapped(text)
         return "\n".join([*lines, f"{self.protocol.title} ({short_digest(self.digest)})"])
 
     @property
-    def _remarks(self) -> list[str]:
+    def _remark_lines(self) -> list[str]:
+        """Suspicions and notes as lines of text."""
         return [*map(str, self.suspicions), *(f"note: {note}" for note in self.notes)]
 
     # --- to be looked at ----------------------------------------------------------------------------------------------
@@ -329,9 +330,10 @@ class EvaluationResult:
         return f"EvaluationResult({in_line(text)}{problems}; {means or 'nothing was scored'})"
 
     def _repr_html_(self) -> str:
+        """Render the table of means for notebooks."""
         cells = self.paper_table
         parts = [table(cells.header, cells.rows, cells.left)] if self.scores else []
-        notes = [*problem_lines(self.problems), *self._remarks, self.protocol.title]
+        notes = [*problem_lines(self.problems), *self._remark_lines, self.protocol.title]
         return block(self.caption, *parts, notes=notes)
 
     # --- files --------------------------------------------------------------------------------------------------------
@@ -396,6 +398,7 @@ def saved_result(data: object, source: Path | str) -> EvaluationResult:
 
 
 def _read_result(top: Fields) -> EvaluationResult:
+    """Read a result; refuse scores that occur twice or are not as many as stated."""
     if "provenance" not in top.data:
         raise top.problem("provenance", "is missing: this is not a result of eldata evaluate, or not a whole one")
     provenance, coverage = top.inside("provenance"), top.inside("coverage")
@@ -444,6 +447,7 @@ def _check_provenance(provenance: Fields, protocol: StatedProtocol) -> None:
 
 
 def _read_score(fields: Fields, kind: Kind) -> UnitScore:
+    """Read the score of an image, or of a clip with its frames."""
     camera, scene = fields.text("camera"), fields.text("scene")
     numbers = {name: fields.parsed(name, _number) for name in kind.values}  # noqa: PD011 (names of a score's numbers)
     if not kind.is_of_clips:
@@ -455,6 +459,7 @@ def _read_score(fields: Fields, kind: Kind) -> UnitScore:
 
 
 def _read_row(row: Fields, kind: Kind) -> TableRow:
+    """Read a row of the table of means."""
     return TableRow(
         camera=row.optional("camera", row.text),
         ratio=row.optional("ratio", row.number, at_least=0),

@@ -182,11 +182,13 @@ def score_predictions(
 
 
 def _prepare_scoring(request: Request, files: FrameFiles) -> Scoring:
+    """Make the settings that workers score by: files, protocol, dark shading, task, threads."""
     threads = request.workers.threads_within
     return Scoring(files.absolute(), request.protocol, request.dark_shading, request.task, threads)
 
 
 def _plan_units(files: FrameFiles, pairs: Sequence[Pair], predictions: Sequence[Predictions]) -> list[ScoringUnit]:
+    """Make a unit of work for each reference: its pairs, and each folder's predictions of them."""
     sharing: dict[str, list[Pair]] = defaultdict(list)
     for pair in pairs:
         sharing[pair.reference or ""].append(pair)
@@ -209,6 +211,7 @@ def _is_whole(pair: Pair, predictions: Predictions) -> bool:
 
 
 def _report_reference(pair: Pair, reason: str) -> PairOutcome:
+    """Make the outcome of a pair whose reference cannot be used."""
     problem = EvaluationProblem(pair.path, f"its reference {pair.reference} cannot be used: {reason}")
     return PairOutcome(pair.path, problems=[problem])
 
@@ -231,13 +234,14 @@ def _keep_last(how: Scoring) -> Callable[[str], Reference]:
     """Return a function that reads references, and keeps the last one as long as the frames share it."""
     known: dict[str, Reference] = {}
 
-    def read(path: str) -> Reference:
+    def read_once(path: str) -> Reference:
+        """Decode a reference, unless it is the last one again."""
         if path not in known:
             known.clear()
             known[path] = read_reference(how, path)
         return known[path]
 
-    return read
+    return read_once
 
 
 def yield_compared(
@@ -347,6 +351,7 @@ def _keep_grey(
 
 
 def _score_motion(protocol: ClipProtocol, grey: Image, targets: Image, threads: int | None) -> dict[str, float]:
+    """Compute ST-RRED of a clip's grey frames, (frames, h, w), and its two parts."""
     from eldata.metrics.st_rred import st_rred
 
     targets = np.broadcast_to(targets, grey.shape)  # a still stands for every frame
@@ -442,10 +447,11 @@ def _render_if_srgb(image: Image, frame: Frame, protocol: Protocol) -> Image:
         return image
     from eldata.isp.rendering import render_to_8_bits
 
-    return render_to_8_bits(image, _sensor_of(frame), response=protocol.curve) / 255.0
+    return render_to_8_bits(image, _require_sensor(frame), response=protocol.curve) / 255.0
 
 
-def _sensor_of(frame: Frame) -> Sensor:
+def _require_sensor(frame: Frame) -> Sensor:
+    """Return the sensor of a raw frame; refuse a frame without one."""
     if frame.sensor is None:
         raise DatasetError(f"{frame.name}: is not a raw file, which its colours are needed of")
     return frame.sensor
@@ -465,16 +471,16 @@ def read_prediction(
     elif protocol.pixels != "packed":
         values = load_colours(how.start / file, cast("tuple[int, int, int]", target.shape), protocol.pixels)
     elif file.suffix.lower() == ".dng":
-        source = load_dng(how.start / file, _sensor_of(frame))
+        source = load_dng(how.start / file, _require_sensor(frame))
         values, source = source.with_levels(protocol.levels).normalise("none"), source.without_pixels()
     else:
-        values = load_prediction(how.start / file, _sensor_of(frame), protocol.levels)
+        values = load_prediction(how.start / file, _require_sensor(frame), protocol.levels)
     shading = how.opener.dark_shading
     if file is not None and shading is not None and frame.sensor is not None:  # the inputs' sensor is the reference's
         shading.check_sensor(path, frame.shape, frame.cfa, frame.sensor.model)
     if protocol.quantisation == "none":
         return values, source
-    check_in_dn(frame.name, _sensor_of(frame), f"protocol {protocol.name!r}, which cuts down to whole DN,")
+    check_in_dn(frame.name, _require_sensor(frame), f"protocol {protocol.name!r}, which cuts down to whole DN,")
     dtype = np.float32 if protocol.quantisation == "dn-truncated-float32" else np.float64
     return cut_to_dn(values, frame, dtype), source
 
@@ -509,6 +515,7 @@ def score_image(how: Scoring, frame: Frame, prediction: Image, target: Image) ->
 
 
 def _find_factor(how: Scoring, prediction: Image, target: Image) -> float:
+    """Find the factor that brings a prediction nearest to its reference, both (C, h, w)."""
     from eldata.metrics.image_score import factor_by
 
     part = how.protocol.factor_crop(target.shape)
@@ -535,7 +542,7 @@ def _render_codes(
     from eldata.isp.rendering import render_pair_for_scoring
 
     treated = treat_prediction(prediction, how.protocol.rules, factor, np.float64)
-    codes = render_pair_for_scoring(treated, target, _sensor_of(frame), response=how.protocol.curve)
+    codes = render_pair_for_scoring(treated, target, _require_sensor(frame), response=how.protocol.curve)
     return codes[0].astype(np.float32), codes[1].astype(np.float32)
 
 

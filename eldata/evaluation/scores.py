@@ -116,7 +116,7 @@ class UnitScore(Valued):
         return {name: facts[name] if name in facts else getattr(self, name) for name in kind.columns}
 
     def as_dict(self, kind: Kind) -> dict[str, Any]:
-        """Return the same, of a clip with the scores of each frame."""
+        """Return the score as plain types, of a clip with the scores of each frame."""
         more = {"frame_scores": [asdict(frame) for frame in self.frames]} if self.frames else {}
         return self.row(kind) | more
 
@@ -140,6 +140,7 @@ def json_object(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _json_safe(value: Any) -> Any:
+    """Replace nan and infinities in nested plain types by ``None`` and text."""
     if isinstance(value, dict):
         return json_object(value)
     if isinstance(value, (list, tuple)):
@@ -190,7 +191,7 @@ class TableRow(Valued):
         return self.coverage, *(m.format(self.values[m.name]) if self.scored else "-" for m in kind.metrics)
 
     def as_dict(self, kind: Kind) -> dict[str, Any]:
-        """Return plain types."""
+        """Return the row as plain types."""
         return {"camera": self.camera, "ratio": self.ratio, kind.counted: self.pairs, "scored": self.scored} | (
             self.values
         )

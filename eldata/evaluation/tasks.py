@@ -98,13 +98,13 @@ class Task:
 
     @property
     def _source(self) -> Any:
-        """What has a name and a source: of an object, its class."""
+        """The function; of a callable object its class, which has a name and a source file."""
         function: Any = inspect.unwrap(self.function.func if isinstance(self.function, partial) else self.function)
         return function if hasattr(function, "__qualname__") else type(function)
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """What decides its values, of plain types; ``None`` where it is not known."""
+        """All that decides its values, as plain types; ``None`` where it is not known."""
         module = sys.modules.get(self._source.__module__)
         file = getattr(module, "__file__", None)
         stated: str | None = self.version or None

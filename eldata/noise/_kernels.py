@@ -150,7 +150,7 @@ def expose_compiled(
         return result
     under = images // len(keys)
     table, period = packed_rows(channels)
-    figures = _figures(draws, channels, has_shot_noise=not {"P", "P*"}.isdisjoint(components))
+    figures = _collect_figures(draws, channels, has_shot_noise=not {"P", "P*"}.isdisjoint(components))
     figures["black"], figures["white"] = (0.0, math.inf) if adc is None else (adc.black_level_dn, adc.white_level_dn)
     figures["low"], figures["high"] = limits
     lambdas = figures["tukey_lambda"][:, 0].tolist()
@@ -158,7 +158,7 @@ def expose_compiled(
         components=sum(BITS[name] for name in components),
         converts=adc is not None,
         figures=figures,
-        power=np.concatenate([_powers(tuple(lambdas[first : first + under])) for first in range(0, images, under)]),
+        power=np.concatenate([_fit_powers(tuple(lambdas[first : first + under])) for first in range(0, images, under)]),
         dark=np.empty((images, channels, 0, 0), np.float32) if dark is None else dark,  # None is compiled again
         tables=poisson_tables(),
         row_table=table,
@@ -177,11 +177,12 @@ def expose_compiled(
             (plane, plane + 1, row, min(row + band, rows)) for plane in range(planes) for row in range(0, rows, band)
         ]
 
-    def fill(piece: tuple[int, int, int, int]) -> None:
+    def fill_piece(piece: tuple[int, int, int, int]) -> None:
+        """Add noise to one piece: its first and last plane and row."""
         marks_of_8 = np.zeros(STRIP // 8, np.uint64)  # one memory seen in two ways, which takes seconds to compile
         add_noise(flat_clean, flat_out, record, marks_of_8.view(np.uint8), marks_of_8, channels, columns, *piece)
 
-    in_threads(fill, pieces, threads)
+    in_threads(fill_piece, pieces, threads)
     return result
 
 
@@ -199,7 +200,7 @@ def prepare() -> None:
         _LOG.warning("eldata compiled its noise model in %.0f s, once for this machine and version", took_s)
 
 
-def _figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool) -> NDArray[np.void]:
+def _collect_figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool) -> NDArray[np.void]:
     """Collect the figures of each packed channel of each image, (N, C)."""
     figures = np.empty((len(draws), channels), FIGURES)
     for name in PARAMETERS:
@@ -214,8 +215,8 @@ def _figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool)
 
 
 @lru_cache(maxsize=1024)  # a profile has few shape parameters
-def _powers(shapes: tuple[float, ...]) -> NDArray[np.float32]:
-    """Return the coefficients of a key's images; their last bits depend on how many are solved for at once."""
+def _fit_powers(shapes: tuple[float, ...]) -> NDArray[np.float32]:
+    """Fit the coefficients for all images of a batch; their last bits depend on how many there are."""
     return power_coefficients(np.array(shapes, np.float32))
 
 
@@ -231,7 +232,7 @@ def power_coefficients(shape: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @kernel
-def _events(clean: NDArray[np.float32], events: Any, out: NDArray[np.float32]) -> None:
+def _expect_events(clean: NDArray[np.float32], events: Any, out: NDArray[np.float32]) -> None:
     """Write the mean number of events; below 0 counts as 0, NaN stays."""
     for j in range(clean.size):
         mean = clean[j] * events
@@ -240,12 +241,13 @@ def _events(clean: NDArray[np.float32], events: Any, out: NDArray[np.float32]) -
 
 @kernel
 def _add_spread(mean: NDArray[np.float32], normal: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    """Write the normal limit of Poisson draws: mean + sqrt(mean) times a standard normal draw."""
     for j in range(out.size):
         out[j] = mean[j] + np.sqrt(mean[j]) * normal[j]
 
 
 @kernel
-def _compose(
+def _compose_noisy(
     value: NDArray[np.float32], gain: Any, sigma: Any, noise: NDArray[np.float32], offset: NDArray[np.float32]
 ) -> None:
     """Turn events into DN and add the read noise and the offset."""
@@ -255,19 +257,21 @@ def _compose(
 
 @kernel
 def _compose_noiseless(value: NDArray[np.float32], gain: Any, offset: NDArray[np.float32]) -> None:
+    """Turn events into DN and add the offset, in place."""
     for j in range(value.size):
         value[j] = value[j] * gain + offset[j]
 
 
 @kernel
-def _add_frame(offset: NDArray[np.float32], dark: NDArray[np.float32]) -> None:
+def _add_dark(offset: NDArray[np.float32], dark: NDArray[np.float32]) -> None:
+    """Add a row of a dark frame, in DN, to the offset."""
     for j in range(offset.size):
         offset[j] += dark[j]
 
 
 @kernel
-def _convert(value: NDArray[np.float32], black: Any, white: Any, step: Any) -> None:
-    """Round to the converter's codes, without the black level: to its steps, and those to whole DN."""
+def _digitise(value: NDArray[np.float32], black: Any, white: Any, step: Any) -> None:
+    """Round to the converter's steps and to whole DN, black level included, and limit to its range."""
     for j in range(value.size):
         code = np.rint(np.rint((value[j] + black) / step) * step)
         code = _ZERO if code < _ZERO else code
@@ -276,8 +280,8 @@ def _convert(value: NDArray[np.float32], black: Any, white: Any, step: Any) -> N
 
 
 @kernel
-def _finish(value: NDArray[np.float32], out: NDArray[np.float32], scale: Any, low: Any, high: Any) -> None:
-    """Normalise and limit."""
+def _normalise(value: NDArray[np.float32], out: NDArray[np.float32], scale: Any, low: Any, high: Any) -> None:
+    """Normalise DN by ``scale``, and limit to ``low`` and ``high``."""
     for j in range(value.size):
         normalised = value[j] * scale
         normalised = low if normalised < low else normalised
@@ -362,7 +366,7 @@ def add_noise(
                 coarse_entry, fine_entry = entries[0, :size], entries[1, :size]
                 mark, mark_of_8 = marks[:size], marks_of_8[: (size + 7) // 8]
                 pixel = _U8(channel * pixels.size) + _U8(begin)
-                _events(pixels[begin : begin + size], figures.events, mean)
+                _expect_events(pixels[begin : begin + size], figures.events, mean)
                 if components & (P_STAR | U):
                     words(rest_number, dither, rest_1, rest_2, pixel)
                 if components & P_STAR:
@@ -387,24 +391,24 @@ def add_noise(
                     here, of_row = row + place, offset[place * width : (place + 1) * width]
                     _lay_offset(of_row, bias, sigma_row, under, period, here, start, row_1, row_2)
                     if dark.size > 0:
-                        _add_frame(of_row, dark[here, start : start + width])
+                        _add_dark(of_row, dark[here, start : start + width])
 
                 if components & (G | G_STAR):
                     words(high, low, read_1, read_2, pixel)
                     if components & G:
                         gaussian_draws(high, low, noise)
-                        _compose(value, figures.gain_dn_per_e, figures.sigma_gauss_dn, noise, offset)
+                        _compose_noisy(value, figures.gain_dn_per_e, figures.sigma_gauss_dn, noise, offset)
                     else:
                         tukey_lambda_draws(high, low, figures.tukey_lambda, power, tail, noise)
-                        _compose(value, figures.gain_dn_per_e, figures.sigma_tl_dn, noise, offset)
+                        _compose_noisy(value, figures.gain_dn_per_e, figures.sigma_tl_dn, noise, offset)
                 else:
                     _compose_noiseless(value, figures.gain_dn_per_e, offset)
 
                 if components & U:
                     add_uniform(value, dither, figures.quantisation_step_dn)
                 if converts:
-                    _convert(value, figures.black, figures.white, figures.quantisation_step_dn)
-                _finish(value, out[plane, begin : begin + size], figures.scale, figures.low, figures.high)
+                    _digitise(value, figures.black, figures.white, figures.quantisation_step_dn)
+                _normalise(value, out[plane, begin : begin + size], figures.scale, figures.low, figures.high)
 
 
 @kernel

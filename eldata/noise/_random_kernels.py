@@ -148,6 +148,7 @@ _SIN_3, _SIN_4 = _F(-76.58139641), _F(39.76161703)
 
 @kernel
 def _mix(z: Any) -> Any:
+    """Scramble a 64-bit word by SplitMix64's output function."""
     z = (z ^ (z >> _S30)) * _MIX_1
     z = (z ^ (z >> _S27)) * _MIX_2
     return z ^ (z >> _S31)
@@ -324,7 +325,7 @@ def fetch(
     coarse_entry: NDArray[np.uint64],
     fine_entry: NDArray[np.uint64],
 ) -> None:
-    """Read the tables: only this is not vector code."""
+    """Look up each pixel's entries in both tables: only this is not vector code."""
     for j in range(coarse.size):
         coarse_entry[j] = coarse_table[coarse[j]]
         fine_entry[j] = fine_table[fine[j]]
@@ -339,7 +340,7 @@ def choose(
     fine_entry: NDArray[np.uint64],
     out: NDArray[np.float32],
 ) -> None:
-    """Write the sum of the two values that the entries give."""
+    """Write each pixel's number of events, the sum of the two values that its entries give."""
     for j in range(high.size):
         index = _U4(digits[j] >> _FINE_COUNT_BITS)
         below = _LOW_0
@@ -415,18 +416,18 @@ def poisson_tables() -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
     """
     top = COARSE_STEP * COARSE_COUNT
     log_factorial = np.concatenate(([0.0], np.cumsum(np.log(np.arange(1.0, 2 * top)))))
-    coarse = [_table(log_factorial, float(COARSE_STEP * index), coarse_bits(index)) for index in range(COARSE_COUNT)]
-    fine = [_table(log_factorial, index / FINE_STEPS, FINE_BITS) for index in range(FINE_COUNT)]
+    coarse = [_tabulate(log_factorial, float(COARSE_STEP * index), coarse_bits(index)) for index in range(COARSE_COUNT)]
+    fine = [_tabulate(log_factorial, index / FINE_STEPS, FINE_BITS) for index in range(FINE_COUNT)]
     tables = np.concatenate(coarse), np.concatenate(fine)
     for table in tables:
         table.setflags(write=False)
     return tables
 
 
-def _table(log_factorial: NDArray[np.float64], mean: float, bits: int) -> NDArray[np.uint64]:
+def _tabulate(log_factorial: NDArray[np.float64], mean: float, bits: int) -> NDArray[np.uint64]:
     """Return the alias table of Poisson(mean) with 2^bits columns."""
-    first, weights = _weights(log_factorial, mean, 1 << bits)
-    threshold, other = _alias(weights)
+    first, weights = _weigh_poisson(log_factorial, mean, 1 << bits)
+    threshold, other = _build_alias(weights)
     value = (first + np.arange(weights.size)).astype(np.uint64)
     entry = np.left_shift(threshold.astype(np.uint64), np.uint64(32), dtype=np.uint64)
     entry |= np.left_shift((first + other).astype(np.uint64), np.uint64(16), dtype=np.uint64)
@@ -434,8 +435,8 @@ def _table(log_factorial: NDArray[np.float64], mean: float, bits: int) -> NDArra
     return entry
 
 
-def _weights(log_factorial: NDArray[np.float64], mean: float, columns: int) -> tuple[int, NDArray[np.int64]]:
-    """Return the first value with a weight, and the weights from there on: integers that add up to 2^32."""
+def _weigh_poisson(log_factorial: NDArray[np.float64], mean: float, columns: int) -> tuple[int, NDArray[np.int64]]:
+    """Weigh the values of Poisson(mean): the first with a weight, and weights from there on, integers of sum 2^32."""
     if mean == 0:
         return 0, np.array([_UNITS] + [0] * (columns - 1))
     reach = 8 * mean**0.5 + 32  # far beyond the last value with a weight
@@ -452,8 +453,8 @@ def _weights(log_factorial: NDArray[np.float64], mean: float, columns: int) -> t
     return start + first, weights
 
 
-def _alias(weights: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return each column's threshold and the column that fills it up from there.
+def _build_alias(weights: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Build an alias table from weights: each column's threshold, and the column that fills it up from there.
 
     The columns are filled in one sweep: each light column is topped up by the current heavy one; a heavy column
     that has become light itself is topped up by the next heavy one. Who tops up whom follows from the running

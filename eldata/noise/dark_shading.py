@@ -82,7 +82,7 @@ class ShadingIso:
 
     @property
     def weight(self) -> float:
-        """Of its mean frame in the lines, 1 / DN^2: one over the variance that noise leaves in it."""
+        """Weight of its mean frame in the fit, 1 / DN^2: one over the variance that noise leaves in it."""
         return self.frames / self.sigma_dn**2
 
 
@@ -145,18 +145,20 @@ class DarkShading:
             values: NDArray[np.float32] = getattr(self, name)
             if values.dtype != np.float32 or values.shape != expected:
                 raise ArgumentError(f"{name} is float32 {expected}; found {values.dtype} {values.shape}")
-            if not all(np.isfinite(row).all() for row in _rows(values)):
+            if not all(np.isfinite(row).all() for row in _flatten_rows(values)):
                 raise ArgumentError(f"{name} holds values that are not finite")
-        object.__setattr__(self, "digest", self._digest())
+        object.__setattr__(self, "digest", self._compute_digest())
 
-    def _digest(self) -> str:
-        digest = hashlib.sha256(json_text(self._about(), indent=None).encode())
+    def _compute_digest(self) -> str:
+        """Compute ``sha256:<hex>`` of all facts and pixels."""
+        digest = hashlib.sha256(json_text(self._list_facts(), indent=None).encode())
         for values in (self.slope_dn, self.offset_dn, self.hot):
-            for row in _rows(values):
+            for row in _flatten_rows(values):
                 digest.update(row.astype(row.dtype.newbyteorder("<"), copy=False).tobytes())
         return f"sha256:{digest.hexdigest()}"
 
-    def _about(self) -> dict[str, Any]:
+    def _list_facts(self) -> dict[str, Any]:
+        """Collect everything but the pixels, as plain JSON types."""
         modes, height, width = self.slope_dn.shape
         return {
             "schema": _SCHEMA_WITH_MODEL if self.model else _SCHEMA,
@@ -286,7 +288,7 @@ class DarkShading:
         return math.sqrt(1 / weights.sum() + ((iso - middle) ** 2 / lever if len(mode) > 1 else 0.0))
 
     def leverage(self, iso: float) -> float:
-        """Return h, the share that a bias frame of an ISO has in the shading there, of the frames that it is from.
+        """Compute h, the share that one of the fitted bias frames has in the shading at its own ISO.
 
         Subtracted from such a frame, the shading takes a share of its noise with it: the variance of what is left is
         ``1 - h`` of the frame's own, and ``1 / sqrt(1 - h)`` puts it back. A frame that the shading is not from has
@@ -309,7 +311,7 @@ class DarkShading:
         EldataError
             If the operating system refuses.
         """
-        about = json_text(self._about() | {"digest": self.digest}, indent=None).encode()
+        about = json_text(self._list_facts() | {"digest": self.digest}, indent=None).encode()
         with atomic_write(path) as file:
             np.savez(
                 file,
@@ -322,7 +324,7 @@ class DarkShading:
 
     @classmethod
     def of(cls, given: DarkShading | Path | str) -> DarkShading:
-        """Return a dark shading that was given itself, or as its file.
+        """Take a dark shading, or load it from its file.
 
         Raises
         ------
@@ -369,16 +371,18 @@ class DarkShading:
 def _read(path: Path) -> tuple[DarkShading, str]:
     """Read a shading and the digest that its file states; declared sizes are checked before anything is loaded."""
 
-    def array(name: str, dtype: str, *shape: int) -> NDArray[Any]:
-        def check(header: Declared) -> None:
+    def load_array(name: str, dtype: str, *shape: int) -> NDArray[Any]:
+        """Load an array of the file; refuse another type or shape. Without a shape it is text, of any length."""
+
+        def check_header(header: Declared) -> None:
             fits = header.shape == shape or (not shape and header.shape <= (_MOST_ABOUT_BYTES,))
             if header.values != dtype or not fits:
                 expected = f"{dtype} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
                 raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
 
-        return read_npz(path, name, check)
+        return read_npz(path, name, check_header)
 
-    top = TextFile(path, ShadingError, _ADVICE, content=array("about", "uint8").tobytes()).json()
+    top = TextFile(path, ShadingError, _ADVICE, content=load_array("about", "uint8").tobytes()).json()
     has_model = top.schema(_SCHEMA, also=(_SCHEMA_WITH_MODEL,)) == _SCHEMA_WITH_MODEL
     known = ("schema", "camera", "source", "cfa", "modes", "height", "width", "isos", "notes", "digest")
     top.only((*known, "model") if has_model else known)
@@ -387,13 +391,13 @@ def _read(path: Path) -> tuple[DarkShading, str]:
     if modes * height * width * 8 > path.stat().st_size:
         raise top.problem("height", f"the file is too small for {modes} x {height} x {width} pixels: truncated?")
     cfa = top.each("cfa", lambda inner, name: inner.each(name, Fields.whole, at_most=3), expected="a list of rows")
-    lines = {name: array(name, "float32", modes, height, width).astype(np.float32, copy=False) for name in _FIELDS}
+    lines = {name: load_array(name, "float32", modes, height, width).astype(np.float32, copy=False) for name in _FIELDS}
     shading = DarkShading(
         camera=top.text("camera"),
         source=top.text("source"),
         cfa=cfa,
         isos=tuple(map(_read_iso, top.objects("isos", fewest=1, expected="a list of at least one ISO"))),
-        hot=array("hot", "bool", height, width),
+        hot=load_array("hot", "bool", height, width),
         notes=top.texts("notes", empty=True),
         model=top.text("model") if has_model else "",
         **lines,
@@ -402,6 +406,7 @@ def _read(path: Path) -> tuple[DarkShading, str]:
 
 
 def _read_iso(fields: Fields) -> ShadingIso:
+    """Read the measurements of one ISO."""
     fields.only(names_of(ShadingIso))
     return ShadingIso(
         iso=fields.number("iso", above=0),
@@ -414,7 +419,7 @@ def _read_iso(fields: Fields) -> ShadingIso:
 
 
 def dark_shading_in(path: Path) -> DarkShading:
-    """Return the dark shading of a file, which a process reads once as long as it stays what it is.
+    """Load the dark shading of a file, once in a process unless the file changes.
 
     Raises
     ------
@@ -430,9 +435,10 @@ def dark_shading_in(path: Path) -> DarkShading:
 
 @lru_cache(maxsize=1)
 def _load_cached(path: Path, *_: int) -> DarkShading:
+    """Load a shading again only if the other arguments, the file's time and size, have changed."""
     return DarkShading.load(path)
 
 
-def _rows(values: NDArray[Any]) -> NDArray[Any]:
-    """Return an array as its rows: work on one row at a time takes no memory."""
+def _flatten_rows(values: NDArray[Any]) -> NDArray[Any]:
+    """Flatten an array to its rows, so that work on one row at a time takes no memory."""
     return values.reshape(-1, values.shape[-1])

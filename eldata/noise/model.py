@@ -42,7 +42,7 @@ class DarkSource(Protocol):
 
     @property
     def dither(self) -> bool:
-        """Whether they are dithered, by U over one step of the values."""
+        """Whether the frames are dithered, by U over one step of their values."""
 
     def draw(
         self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator
@@ -287,6 +287,7 @@ class NoiseModel:
         return np.concatenate(crops)
 
     def _check_dark(self, dark: Any, expected: tuple[int, ...]) -> None:
+        """Refuse dark noise of another type or shape, or for a model without component D."""
         if self.dark_frames is None:
             raise ArgumentError(f"dark= is for models with component D; this is {self!r}")
         if not isinstance(dark, np.ndarray) or dark.dtype != np.float32 or dark.shape != expected:
@@ -338,9 +339,9 @@ def pack_whole(mosaic: Image, cfa: Cfa) -> Image:
         -(-(first + side) // sites.period) for first, side in ((top, mosaic.shape[-2]), (left, mosaic.shape[-1]))
     )
     leading: tuple[int, ...] = tuple(mosaic.shape[:-2])
-    whole: Image = _zeros(mosaic, (*leading, height * sites.period, width * sites.period))
+    whole: Image = _make_zeros(mosaic, (*leading, height * sites.period, width * sites.period))
     whole[..., top : top + mosaic.shape[-2], left : left + mosaic.shape[-1]] = mosaic
-    packed: Image = _zeros(mosaic, (*leading, sites.channels, height * sites.sub, width * sites.sub))
+    packed: Image = _make_zeros(mosaic, (*leading, sites.channels, height * sites.sub, width * sites.sub))
     for in_mosaic, in_packed in sites.slices:
         packed[in_packed] = whole[in_mosaic]
     return packed
@@ -350,7 +351,7 @@ def unpack_whole(packed: Image, cfa: Cfa, shape: tuple[int, int]) -> Image:
     """Undo :func:`pack_whole` for mosaics of ``shape`` (H, W)."""
     sites = packing_sites(cfa)
     height, width = (side // sites.sub * sites.period for side in packed.shape[-2:])
-    whole: Image = _zeros(packed, (*tuple(packed.shape[:-3]), height, width))
+    whole: Image = _make_zeros(packed, (*tuple(packed.shape[:-3]), height, width))
     for in_mosaic, in_packed in sites.slices:
         whole[in_mosaic] = packed[in_packed]
     top, left = -sites.top % sites.period, -sites.left % sites.period
@@ -358,7 +359,8 @@ def unpack_whole(packed: Image, cfa: Cfa, shape: tuple[int, int]) -> Image:
     return cropped
 
 
-def _zeros(like: Any, shape: tuple[int, ...]) -> Any:
+def _make_zeros(like: Any, shape: tuple[int, ...]) -> Any:
+    """Make zeros of a shape: an array, or a tensor on the same device, as ``like`` is."""
     return np.zeros(shape, like.dtype) if isinstance(like, np.ndarray) else like.new_zeros(shape)
 
 
@@ -400,7 +402,7 @@ def _count_images(clean: Any) -> int:
 
 
 def _per_image(value: Any, images: int, name: str) -> list[Any]:
-    """Return one value for each image, of one for all or of one for each; of others raise :class:`ArgumentError`."""
+    """Spread one value over all images, or take one for each; of others raise :class:`ArgumentError`."""
     if not isinstance(value, Sequence) and hasattr(value, "tolist"):  # an array or a tensor
         value = value.tolist()
     if isinstance(value, str) or not isinstance(value, Sequence):
@@ -420,6 +422,7 @@ def _common_range_dn(drawn: Sequence[NoiseParameters]) -> float:
 
 
 def _check_out(out: Any, clean: Any) -> None:
+    """Refuse an output array that does not fit ``clean``, or shares memory with it."""
     if not isinstance(clean, np.ndarray):
         raise ArgumentError("out= is for arrays; of a tensor leave it out")
     fits = isinstance(out, np.ndarray) and out.shape == clean.shape and out.dtype == np.float32

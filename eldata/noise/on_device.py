@@ -35,41 +35,44 @@ def expose_on_device(
     limits: tuple[float, float] = (-math.inf, math.inf),
     dark: NDArray[np.float32] | None = None,
 ) -> torch.Tensor:
-    """Add noise to ``clean`` (N, C, h, w) float32 on its device; other arguments are as of ``expose_compiled``."""
+    """Add noise to ``clean`` (N, C, h, w) float32 on its device; other arguments as in ``expose_compiled``."""
     device, size = clean.device, clean.shape
 
     def per_image(values: Sequence[float], dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        """Make a tensor (N, 1, 1, 1) of one value for each image."""
         return torch.tensor(values, dtype=dtype, device=device)[:, None, None, None]
 
-    def figure(name: str, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    def collect(name: str, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        """Collect a parameter of all draws as a tensor (N, 1, 1, 1)."""
         return per_image([getattr(draw.parameters, name) for draw in draws], dtype)
 
-    def normal() -> torch.Tensor:
+    def draw_normal() -> torch.Tensor:
+        """Draw a standard normal number for each pixel."""
         return torch.randn(size, generator=generator, device=device)
 
-    gain, scale = figure("gain_dn_per_e"), per_image([draw.range_dn / draw.ratio for draw in draws])
+    gain, scale = collect("gain_dn_per_e"), per_image([draw.range_dn / draw.ratio for draw in draws])
     # DN above black: K I. An infinite clean value stays the largest number, which the clip then takes.
     dn = clean.clamp(0.0, torch.finfo(torch.float32).max) * scale
     if "P*" in components:
         dn = torch.where(dn.isnan(), dn, _poisson(torch.nan_to_num(dn / gain, nan=0.0), generator) * gain)
     if "P" in components:
-        dn = dn + (gain * dn).sqrt() * normal()
+        dn = dn + (gain * dn).sqrt() * draw_normal()
     if "G*" in components:
-        dn = dn + figure("sigma_tl_dn") * _tukey_lambda(size, figure("tukey_lambda", torch.float64), generator)
+        dn = dn + collect("sigma_tl_dn") * _tukey_lambda(size, collect("tukey_lambda", torch.float64), generator)
     if "G" in components:
-        dn = dn + figure("sigma_gauss_dn") * normal()
+        dn = dn + collect("sigma_gauss_dn") * draw_normal()
     if "B" in components:
         bias = [draw.parameters.channel_bias_dn(size[1]) for draw in draws]
         dn = dn + torch.tensor(bias, dtype=torch.float32, device=device).reshape(*size[:2], 1, 1)
     if "R" in components:
-        dn = dn + _row_noise(size, figure("sigma_row_dn"), generator)
+        dn = dn + _row_noise(size, collect("sigma_row_dn"), generator)
     if dark is not None:
         dn = dn + torch.from_numpy(dark).to(device)
     if "U" in components:
         uniform = torch.rand(size, generator=generator, device=device) - 0.5
-        dn = dn + uniform * figure("quantisation_step_dn")
+        dn = dn + uniform * collect("quantisation_step_dn")
     if adc is not None:
-        step = figure("quantisation_step_dn")
+        step = collect("quantisation_step_dn")
         codes = (((dn + adc.black_level_dn) / step).round() * step).round()
         dn = codes.clamp(0.0, adc.white_level_dn) - adc.black_level_dn
     return (dn / scale).clamp(*limits)

@@ -89,7 +89,7 @@ class NoiseParameters:
         above = dict.fromkeys(("gain_dn_per_e", "range_dn", "iso", "quantisation_step_dn"), 0.0)
         for name in self.__slots__:
             value = getattr(self, name)
-            if name != "colour_bias_dn" and (value is not None or name in _names()):
+            if name != "colour_bias_dn" and (value is not None or name in _noise_fields()):
                 checked_number(name, value, above=above.get(name, -math.inf))
             if name.startswith("sigma") and value < 0:
                 raise ArgumentError(f"{name} must not be negative; found {value}")
@@ -115,10 +115,10 @@ class NoiseParameters:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the parameters of the noise by name."""
-        return {name: getattr(self, name) for name in _names()}
+        return {name: getattr(self, name) for name in _noise_fields()}
 
     def rounded(self, dn: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-        """Return DN, black level included, as the camera's files hold them: in its steps, and whole."""
+        """Round DN, black level included, to the camera's steps and to whole numbers, as its files hold them."""
         return np.asarray(np.rint(np.rint(dn / self.quantisation_step_dn) * self.quantisation_step_dn))
 
 
@@ -181,7 +181,8 @@ class NoiseDraw:
 
 
 @cache
-def _names() -> tuple[str, ...]:
+def _noise_fields() -> tuple[str, ...]:
+    """List the fields that describe the noise, without range, ISO and step."""
     return tuple(field.name for field in fields(NoiseParameters) if field.compare)
 
 
@@ -215,6 +216,7 @@ def tukey_lambda_variance(tukey_lambda: float) -> float:
 
 
 def _check_generator(generator: Generator) -> None:
+    """Refuse anything but a random generator from numpy or torch."""
     torch = sys.modules.get("torch")
     kinds = (np.random.Generator,) if torch is None else (np.random.Generator, torch.Generator)
     if not isinstance(generator, kinds):
@@ -225,7 +227,7 @@ def _check_generator(generator: Generator) -> None:
 
 
 def draw_numbers(generator: Generator) -> tuple[list[float], list[float]]:
-    """Return two draws from [0, 1) and three standard normal ones, float64: what one draw of parameters takes."""
+    """Draw two numbers from [0, 1) and three standard normal ones, float64: all that one draw of parameters takes."""
     _check_generator(generator)
     if isinstance(generator, np.random.Generator):
         return generator.random(2).tolist(), generator.standard_normal(3).tolist()

@@ -172,7 +172,7 @@ class ProfileRow:
         return {name: value for name, value in asdict(self).items() if value or name != "frame_bias_dn"}
 
     def parameters(self, range_dn: float | None, step_dn: float = 1.0) -> NoiseParameters | None:
-        """Return the figures as a draw, ``None`` unless K and all scales are known."""
+        """Convert the row to noise parameters; ``None`` unless K and all scales are known."""
         gain, scale, gauss, rows = self.gain_dn_per_e, self.sigma_tl_dn, self.sigma_gauss_dn, self.sigma_row_dn
         if gain is None or scale is None or gauss is None or rows is None:
             return None
@@ -376,7 +376,8 @@ class CameraProfile:
         """
         from eldata.plots.axes import drawn_grid, drawn_into, scale_over_gain
 
-        def panel(name: Sigma, axes: Axes, theme: Theme) -> None:
+        def draw_scale(name: Sigma, axes: Axes, theme: Theme) -> None:
+            """Draw a scale over K: the lines of the gain modes, and the measured rows as points."""
             line, field, _ = SIGMAS[name]
             fits = [(getattr(mode, line), mode.gain_range_dn_per_e) for mode in self.gain_modes]
             drawn = [(fit.scale_dn, *ends) for fit, ends in fits if fit is not None]
@@ -386,10 +387,10 @@ class CameraProfile:
 
         if sigma is not None:
             check_choice("sigma", sigma, SIGMAS)
-            return drawn_into(ax, self.camera, partial(panel, sigma))
+            return drawn_into(ax, self.camera, partial(draw_scale, sigma))
         if ax is not None:
             raise ArgumentError(f"one axes has room for one sigma; give sigma, one of {', '.join(SIGMAS)}")
-        return drawn_grid(self.camera, [(title, partial(panel, name)) for name, (_, _, title) in SIGMAS.items()])
+        return drawn_grid(self.camera, [(title, partial(draw_scale, name)) for name, (_, _, title) in SIGMAS.items()])
 
     def __repr__(self) -> str:
         low, high = self.gain_range_dn_per_e
@@ -398,6 +399,7 @@ class CameraProfile:
         return f"CameraProfile({in_line(self.camera)!r}, {text})"
 
     def _repr_html_(self) -> str:
+        """Render the rows as a table for notebooks."""
         titles = ["ISO", "K [DN/e⁻]", "λ", *(f"σ {name} [DN]" for name in SIGMAS)]
         titles += [f"bias {name} [DN]" for name in ("R", "G1", "B", "G2")]
         cells: list[list[str]] = []
@@ -525,6 +527,7 @@ class CameraProfile:
         return {iso: sum(gains[iso]) / len(gains[iso]) for iso in sorted(gains)}
 
     def _share_a_mode(self, *gains: float) -> bool:
+        """Check whether one gain mode contains all of these gains, or nearly."""
         modes = self.gain_modes
         return len(modes) == 1 or any(max(map(mode.distance, gains)) <= GAIN_ROUNDING for mode in modes)
 
@@ -635,7 +638,7 @@ _ASKED_FOR = "one profile with --profile-of-another-camera (profile_of_another_c
 def profile_of(
     camera: str, profiles: Sequence[CameraProfile], *, another: bool = False, otherwise: str = _ASKED_FOR
 ) -> CameraProfile:
-    """Return the profile of a camera: the one rule wherever a profile is to tell the noise of a named camera's frames.
+    """Find a camera's profile among several: the one rule wherever frames of a named camera get noise.
 
     Raises
     ------
@@ -684,6 +687,7 @@ def _profile_path(name: str | Path) -> Path:
 
 
 def _read_range(top: Fields, name: str) -> tuple[float, float]:
+    """Read two positive numbers, the lower first."""
     low, high = top.each(name, Fields.number, count=2, expected="two numbers")
     if not 0 < low <= high:
         raise top.wrong(name, "two positive numbers, the lower first", [low, high])
@@ -691,5 +695,6 @@ def _read_range(top: Fields, name: str) -> tuple[float, float]:
 
 
 def _read_bias(holder: Fields, name: str) -> tuple[float, float, float, float]:
+    """Read the colour bias of R, G1, B and G2, in DN."""
     red, green, blue, second_green = holder.each(name, Fields.number, count=4, expected="four numbers (R, G1, B, G2)")
     return red, green, blue, second_green

@@ -158,16 +158,19 @@ class VirtualCameras(Sequence[CameraProfile]):
             return tuple(self[number] for number in range(*index.indices(self.n)))
         if not -self.n <= index < self.n:
             raise IndexError(f"camera {index} of {self.n} virtual ones")
-        return self._camera(index % self.n)
+        return self._draw_camera(index % self.n)
 
-    def _camera(self, number: int) -> CameraProfile:
+    def _draw_camera(self, number: int) -> CameraProfile:
+        """Draw the profile of one camera, by its number."""
         generator = np.random.default_rng(purpose_sequence(self.seed, number, _CAMERAS, self.n))
         ranges = self.ranges
 
         def draw(low: float, high: float) -> float:
+            """Draw a number from the camera's share of a range: one of n equal parts."""
             return low + (high - low) * ((number + generator.random()) / self.n)
 
         def draw_line(lines: Lines) -> LogLogFit:
+            """Draw slope, intercept and residual deviation of a line."""
             return LogLogFit(*(draw(low, high) for low, high in zip(*map(astuple, lines), strict=True)))
 
         fits = [draw_line(lines) for lines in (ranges.tukey_lambda_fit, ranges.gauss_fit, ranges.row_fit)]

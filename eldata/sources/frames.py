@@ -222,7 +222,7 @@ class Frame:
         return replace(self, mosaic=Pixels(self.shape, np.dtype(np.float32), reads))
 
     def without_pixels(self) -> Frame:
-        """Return the frame, its pixels forgotten."""
+        """Copy the frame without its pixels."""
         return replace(self, mosaic=np.broadcast_to(np.uint16(0), self.mosaic.shape))
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
@@ -260,7 +260,7 @@ class FrameSource(Protocol):
 
     @property
     def records(self) -> Sequence[FrameRecord]:
-        """What it holds."""
+        """Records of all frames that it holds."""
 
     def frame(self, path: str) -> Frame:
         """Open the frame of a record."""
@@ -304,7 +304,7 @@ class Files:
         """
         from eldata.raw.reading import read_raw
 
-        file = self._at(path)
+        file = self._find_file(path)
         try:
             if is_png(path) and isinstance(file, Path):
                 return Frame.of_rgb(read_rgb16(file).transpose(2, 0, 1), str(file))
@@ -315,12 +315,13 @@ class Files:
             raise
         return Frame.of_decoded(raw)
 
-    def _at(self, path: str) -> Path | StatedFile:
+    def _find_file(self, path: str) -> Path | StatedFile:
+        """Find a frame's file, with its card's facts if they are known."""
         return self._files.at(path) if isinstance(self._files, FrameFiles) else self._files.get(path, Path(path))
 
     def packed_file(self, path: str) -> Path | None:
         """Return the file of a packed array, such as synthetic noise is saved in; ``None`` of other frames."""
-        file = self._at(path) if path.endswith(".npy") else None
+        file = self._find_file(path) if path.endswith(".npy") else None
         return file if isinstance(file, Path) else None
 
     def outline(self, path: str, like: Frame, levels: Levels) -> Frame:
@@ -330,7 +331,7 @@ class Files:
         """
         from eldata.raw.reading import read_header
 
-        header = read_header(self._at(path))
+        header = read_header(self._find_file(path))
         is_alike = header.levels_dn is not None and header.levels_dn[1] == like.white_level_dn
         if levels == "metadata" and not is_alike:
             return self.frame(path).without_pixels()
@@ -352,7 +353,7 @@ class Files:
 
 
 def no_folder(folder: Path, card: Card, holds: Iterable[str]) -> DatasetError:
-    """Return the error that a dataset's folder is not there, with what it should hold and where to get it."""
+    """Make the error for a dataset's missing folder: its expected content, and where to get it."""
     known = card.name in known_names()  # the commands do not know a set of the user's own
     commands = f"; eldata info {card.name} says more, eldata download {card.name} fetches or unpacks it"
     return DatasetError(

@@ -114,6 +114,7 @@ class PairOpener:
         return OpenedPair(target or noisy, shown, ratio)
 
     def _open_noisy(self, record: Record, target: Frame | None, path: str) -> Frame:
+        """Open a noisy frame; one in a packed array becomes a mosaic like its reference."""
         packed = self.source.packed_file(path) if isinstance(self.source, Files) else None
         if packed is None or target is None:
             return self.source.frame(path)
@@ -161,12 +162,13 @@ def _read_packed(path: Path, target: Frame, exposure: Exposure) -> Frame:
     """Read a packed, amplified noisy frame, as a mosaic like its reference's."""
     shape = packed_shape(target.shape, target.cfa)
 
-    def check(declared: Declared) -> None:
+    def check_header(declared: Declared) -> None:
+        """Refuse another type or shape, before anything is loaded."""
         if declared.shape != shape or declared.values != "float32":
             found = f"{declared.values} {declared.shape}"
             raise FileError(path, f"expected float32 {shape} like its reference, found {found}")
 
-    packed = read_array(path, check, error=FileError)
+    packed = read_array(path, check_header, error=FileError)
     mosaic = np.zeros(target.shape, np.float32)
     mosaic[packed_area(target.shape, target.cfa).slices] = unpack(packed, target.cfa)
     return Frame(mosaic, target.cfa, (0.0,) * len(target.black_level_dn), 1.0, str(path), exposure=exposure)

@@ -102,10 +102,10 @@ def test_memory_is_used_again_once_nobody_sees_it() -> None:
     others = [Numbers().__getitems__([6, 7]) for _ in range(6)]
     assert (view == 5).all()
     assert len({part[0]["image"].data_ptr() for part in others}) == 6
-    assert len(batches._pieces(batches._Piece).all) >= 7
+    assert len(batches._own_pieces(batches._Piece).all) >= 7
     del others, view
     address()
-    assert len(batches._pieces(batches._Piece).all) <= 1 + batches._MOST_FREE
+    assert len(batches._own_pieces(batches._Piece).all) <= 1 + batches._MOST_FREE
 
 
 def test_who_keeps_very_many_batches_gets_other_memory(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,7 +115,7 @@ def test_who_keeps_very_many_batches_gets_other_memory(monkeypatch: pytest.Monke
         kept = [Numbers().__getitems__([index])[0]["image"] for index in range(2 * batches._MOST_HELD)]
         for index, image in enumerate(kept):
             assert (image == index).all()
-        pieces = batches._pieces(batches._Piece if info is None else batches._SharedPiece)
+        pieces = batches._own_pieces(batches._Piece if info is None else batches._SharedPiece)
         assert len(pieces.all) <= batches._MOST_HELD
 
 
@@ -150,7 +150,7 @@ def test_memory_that_was_sent_is_used_again_once_both_are_done() -> None:
         opened.append(sum("eldata-batch" in str(link) for link in links))
     assert (received["image"][2] == 5).all()
     assert max(opened[10:]) < 40  # of 80, had each left one
-    assert len(batches._pieces(batches._SharedPiece).all) <= 2 + batches._MOST_FREE
+    assert len(batches._own_pieces(batches._SharedPiece).all) <= 2 + batches._MOST_FREE
     view = received["image"][1, :, 3]
     del received
     assert not piece.is_free()

@@ -121,7 +121,7 @@ class DarkFrames:
             _check_iso(iso, there, self._where)
         self._numbers = {iso: there[iso] for iso in sorted(there) if isos is None or iso in isos}
         if not self._numbers:
-            raise ArgumentError(f"isos is empty; there are {_list_isos(there)}")
+            raise ArgumentError(f"isos is empty; there are {_join_isos(there)}")
         # A file is decoded to be looked at, and may be kept; of a store nothing is read.
         look = self._frames.open_frame if self._frames.reads_parts else self._frames.frame
         self._first = {iso: look(numbers[0]).without_pixels() for iso, numbers in self._numbers.items()}
@@ -277,8 +277,9 @@ class DarkFrames:
 
 
 def _check_iso(iso: float, known: Collection[float], where: str) -> None:
+    """Refuse an ISO that has no dark frames."""
     if iso not in known:
-        raise ArgumentError(f"{where}: there are no dark frames of ISO {iso:g}; there are {_list_isos(known)}")
+        raise ArgumentError(f"{where}: there are no dark frames of ISO {iso:g}; there are {_join_isos(known)}")
 
 
 def _find_frames(
@@ -318,5 +319,6 @@ def _find_frames(
     return where, files, numbers
 
 
-def _list_isos(isos: Collection[float]) -> str:
+def _join_isos(isos: Collection[float]) -> str:
+    """Join ISOs in a text, ascending."""
     return ", ".join(f"{iso:g}" for iso in sorted(isos))

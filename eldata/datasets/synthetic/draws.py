@@ -127,7 +127,7 @@ class NoiseChoice:
     def __str__(self) -> str:
         """Return the cameras, and the ISOs of each by how they are sampled there."""
         named = [
-            profile.camera + (f" ({_list_isos(self.isos, rows)})" if self.isos != (None,) else "")
+            profile.camera + (f" ({_describe_rows(self.isos, rows)})" if self.isos != (None,) else "")
             for profile, rows in zip(self.profiles, self.rows, strict=True)
         ]
         return ", ".join(named if len(named) <= _MOST_NAMED else [*named[:2], f"... {len(named)} in all"])
@@ -158,7 +158,8 @@ def _choose_row(profile: CameraProfile, iso: float | None) -> RowChoice:
     return "measured"
 
 
-def _list_isos(isos: Sequence[float | None], rows: Sequence[RowChoice]) -> str:
+def _describe_rows(isos: Sequence[float | None], rows: Sequence[RowChoice]) -> str:
+    """Describe each ISO's way of sampling in words: ``ISO 100, 200: nearest``."""
     by_row: dict[str, list[str]] = {}
     for iso, row in zip(isos, rows, strict=True):
         by_row.setdefault(row, []).append(f"{iso:g}")
@@ -218,7 +219,7 @@ class Turns:
             np.random.default_rng(purpose_sequence(self.seed, 0, _BLOCKS, block)).shuffle(groups)
         group = int(groups[within])
         turn = before[group] + int((groups[:within] == group).sum())
-        return group, tuple(self._member(group, turn * self.each + more) for more in range(self.each))
+        return group, tuple(self._find_member(group, turn * self.each + more) for more in range(self.each))
 
     def _counts(self, places: int) -> list[int]:
         """Count the turns of each group in the first places."""
@@ -228,7 +229,8 @@ class Turns:
             places -= counts[-1]
         return counts
 
-    def _member(self, group: int, number: int) -> int:
+    def _find_member(self, group: int, number: int) -> int:
+        """Find a member of a group by its number in the group's endless sequence of rounds."""
         turn_round, place = divmod(number, self.sizes[group])
         return int(self._order(group, turn_round)[place])
 
@@ -252,6 +254,7 @@ class Turns:
         return order
 
     def _draw_order(self, group: int, turn_round: int) -> NDArray[np.int64]:
+        """Draw a random order of a group's members for one round."""
         sequence = purpose_sequence(self.seed, 0, _MEMBERS, group, turn_round)
         return np.random.default_rng(sequence).permutation(self.sizes[group])
 

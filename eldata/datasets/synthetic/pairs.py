@@ -133,6 +133,7 @@ class NoisyItems(CroppedItems[Sample]):
                 np.clip(made_exposure(model, light, draw, generator), *CLIP_RANGES[self.clip], out=exposure)
 
     def _outline(self) -> list[tuple[str, str]]:
+        """Describe the dataset by names and values: clean frames, cameras, noise, ratio, then as for all items."""
         low, high = self.noise.ratio
         is_ours = isinstance(self.model, NoiseModel)
         model = repr(self.model) if is_ours else f"{maker_name(self.model)}, clip={self.clip!r}"
@@ -161,7 +162,7 @@ def draw_dark(
 
 
 def check_scale(name: str, sensor: Sensor, camera: str, its_range_dn: float, advice: str) -> None:
-    """Refuse a clean file of other bits than those in whose DN a camera's noise is, by the levels that it states.
+    """Refuse a clean file whose range from black to white is not the range in whose DN a camera's noise is.
 
     Raises
     ------
@@ -177,6 +178,7 @@ def check_scale(name: str, sensor: Sensor, camera: str, its_range_dn: float, adv
 
 
 def _check_source(owner: str, source: Any, method: str) -> None:
+    """Refuse a source of clean data without ``len`` or the method, ``frame`` or ``clip``."""
     if hasattr(source, "__len__") and callable(getattr(source, method, None)):
         return
     known = {"frame": "CleanFrames and Arrays", "clip": "CleanClips"}[method]
@@ -407,6 +409,7 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
 
 
 def _check_alike(frame: Frame, first: Frame) -> None:
+    """Refuse a frame of another size, CFA or white level than the first of its clip."""
     own, wanted = (f"{each.kind}, white level {each.white_level_dn:g} DN" for each in (frame, first))
     if own != wanted:
         raise DatasetError(f"{frame.name}: has {own}, but {first.name} has {wanted}; is it one clip?")

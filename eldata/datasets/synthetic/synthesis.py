@@ -249,7 +249,7 @@ def draw_splits(seed: int, shares: tuple[float, float] | None, count: int) -> li
 
 
 def _begin(out: Path, work: str) -> None:
-    """Begin work in a new or empty folder, or go on with the same work in it."""
+    """Prepare a new or empty folder for work, or go on with the same work in it."""
     out.mkdir(parents=True, exist_ok=True)
     remove_leftovers(out)
     path = out / _BEGUN
@@ -266,7 +266,7 @@ def _begin(out: Path, work: str) -> None:
 
 
 def _digest_work(recipe: Recipe, sources: Sequence[CleanScene], dark: DarkFrames | None) -> str:
-    """Return a digest of what decides the content of every file."""
+    """Digest everything that decides the content of every file."""
     files, names = [source.path for source in sources], []
     if dark is not None and recipe.dark_frames is not None:
         names = list(dark.names(dark.isos[0]))
@@ -371,7 +371,7 @@ class _Draw:
 
     @classmethod
     def of(cls, recipe: Recipe, clean: _CleanFacts, source: CleanScene, copy: int) -> _Draw:
-        """Draw it; the generator goes on to the noise, of clips another one for each frame."""
+        """Draw a noisy file's parameters, ratio and exposure; its generator goes on to the noise."""
         generator = item_generator(recipe.seed, source.drawn_for, copy)
         parameters = recipe.profile.sample(generator, iso=recipe.iso, row=recipe.row, extrapolate=recipe.extrapolate)
         low, high = recipe.ratio

@@ -142,9 +142,9 @@ class Store:
                 crc32, listed, there = int(header["facts_crc32"]), int(header["files"]), len(file["frames"])
                 self.frames: tuple[StoredFrame, ...] = Records(decode_facts(file["facts"][:].tobytes(), crc32))
             except (OSError, RuntimeError, ValueError, LookupError, TypeError, EldataError) as error:
-                raise _damage_error(path, error) from error
+                raise _make_damage_error(path, error) from error
         if not len(self.frames) == listed == there:
-            raise _damage_error(path, f"expected {listed} frames, found {min(len(self.frames), there)}")
+            raise _make_damage_error(path, f"expected {listed} frames, found {min(len(self.frames), there)}")
         self.reader = PixelReader(path, crc32)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -152,6 +152,7 @@ class Store:
 
     @cached_property
     def _by_path(self) -> dict[str, StoredFrame]:
+        """The frames by path."""
         return {frame.path: frame for frame in self.frames}
 
     @property
@@ -225,11 +226,12 @@ def open_hdf5(path: Path) -> h5py.File:
     except EldataError:
         raise
     except Exception as error:  # HDF5 looks at what it reads while it reads it, and h5py raises many kinds
-        raise _damage_error(path, error) from error
+        raise _make_damage_error(path, error) from error
     return file
 
 
 def _check_header(path: Path, header: Mapping[str, Any]) -> None:
+    """Refuse a file that is no store, or has another version or an unknown compression."""
     if header.get("format") != FORMAT:
         raise StoreError(path, "is an HDF5 file, but not a store of eldata; eldata pack makes stores")
     version = int(header["version"])
@@ -249,13 +251,15 @@ def _texts_of(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _read_manifest(path: Path, file: h5py.File) -> Manifest | None:
+    """Read the manifest in a store; ``None`` if the store holds clean frames."""
     if "manifest" not in file:
         return None
     rows, card = (file[f"manifest/{name}"][:].tobytes() for name in ("csv", "json"))
     return replace(load_manifest(path / "manifest.csv", (rows, card)), path=path)
 
 
-def _damage_error(path: Path, what: object) -> StoreError:
+def _make_damage_error(path: Path, what: object) -> StoreError:
+    """Make the error that reports a damaged store."""
     return StoreError(path, f"is damaged ({what}); copy or pack it again")
 
 
@@ -295,8 +299,8 @@ def encode_facts(frames: Iterable[StoredFrame]) -> bytes:
     exposures: dict[str, int] = {}
     rows = []
     for frame in frames:
-        sensor = json.dumps(_as_json((astuple(frame.sensor), frame.channel_white_levels_dn)))
-        exposure = json.dumps(_as_json(astuple(frame.exposure)))
+        sensor = json.dumps(_to_json((astuple(frame.sensor), frame.channel_white_levels_dn)))
+        exposure = json.dumps(_to_json(astuple(frame.exposure)))
         numbers = sensors.setdefault(sensor, len(sensors)), exposures.setdefault(exposure, len(exposures))
         rows.append([frame.path, frame.role, frame.sha256, *numbers])
     lists = ",".join(sensors), ",".join(exposures), json.dumps(rows)
@@ -325,14 +329,16 @@ def frame_key(number: int) -> str:
     return f"{number:06d}"
 
 
-def _as_json(value: Any) -> Any:
+def _to_json(value: Any) -> Any:
+    """Convert tuples and exact numbers to JSON types; fractions become text."""
     if isinstance(value, tuple):
-        return [_as_json(part) for part in value]
+        return [_to_json(part) for part in value]
     value = value.fraction if isinstance(value, ExactFloat) else value
     return str(value) if isinstance(value, Fraction) else value
 
 
 def _from_json(value: Any) -> Any:
+    """Undo :func:`_to_json`."""
     if isinstance(value, list):
         return tuple(map(_from_json, value))
     return exact_number(Fraction(value)) if isinstance(value, str) else value
@@ -373,13 +379,14 @@ class PixelReader:
             If the store cannot be read, lacks some of the frame's pixels, or is not the one that was opened any more.
         """
         try:
-            return self._read(key, rows, columns)
+            return self._read_part(key, rows, columns)
         except EldataError:
             raise
         except (OSError, RuntimeError, KeyError, IndexError, ValueError, TypeError) as error:
             raise StoreError(self.path, f"frame {key} is damaged ({error}); copy or pack it again") from error
 
-    def _read(self, key: str, rows: slice, columns: slice) -> NDArray[np.uint16]:
+    def _read_part(self, key: str, rows: slice, columns: slice) -> NDArray[np.uint16]:
+        """Read rows and columns of a frame; refuse a file whose size has changed since it was opened."""
         content = self._content or self._open()
         now = content.size()
         if now != len(content):  # to touch what a mapping has lost ends the process by SIGBUS
@@ -387,7 +394,7 @@ class PixelReader:
             raise StoreError(self.path, reason)
         frame = self._opened.get(key)
         if frame is None:
-            frame = self._find(key)
+            frame = self._open_pixels(key)
         if isinstance(frame, np.ndarray):
             return frame[..., rows, columns]
         pixels = scratch("stored", (*frame.shape[:-2], *part_shape(frame.shape, rows, columns)), frame.dtype)
@@ -404,7 +411,8 @@ class PixelReader:
         self._file, self._content = file, content
         return content
 
-    def _find(self, key: str) -> NDArray[np.uint16] | h5py.Dataset:
+    def _open_pixels(self, key: str) -> NDArray[np.uint16] | h5py.Dataset:
+        """Open a frame's pixels: as mapped memory if they are not compressed, else as an HDF5 dataset."""
         dataset = self._file["frames"][key]  # type: ignore[index] # it is open
         expected, found = count_parts(dataset)
         if found != expected:
@@ -418,7 +426,7 @@ class PixelReader:
 
 
 def count_parts(dataset: h5py.Dataset) -> tuple[str, str]:
-    """Return in how many parts a frame's pixels lie, and how many there are: HDF5 reads zeros for a missing one.
+    """Count the parts that a frame's pixels should have, and those in the file: HDF5 reads a missing one as zeros.
 
     A chunk of no bytes is missing; HDF5 would look for its checksum before its beginning.
     """

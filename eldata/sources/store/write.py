@@ -159,6 +159,7 @@ def source_of_dataset(
 
 
 def _require_folder(manifest: Manifest, root: Path | str | None) -> Path:
+    """Find a dataset's folder; refuse a missing one."""
     folder = manifest.folder(root)
     if not folder.is_dir():
         raise DatasetError(
@@ -177,6 +178,7 @@ def _holds_clips(rows: Sequence[FrameRecord]) -> bool:
 def _source_of_clips(
     card: Card, records: Sequence[FrameRecord], folder: Path, choice: Choice, ids: Collection[str] | None
 ) -> Source:
+    """List the files of chosen clips, each reference before its frames, with a manifest of them alone."""
     rows = expand(choose_clips(records, card.subsets, choice, ids=ids), folder)
     files: dict[str, Role] = {}
     for clip in clips_of(rows):
@@ -253,14 +255,15 @@ def build_store(
     files = FrameFiles(source.folder)
     if source.manifest is not None:
         files = FrameFiles.of(source.folder, source.manifest.card, source.manifest.records)
-    decoded = workers.read_ahead(partial(_decode, files.absolute()), [*enumerate(source.files)])
+    decoded = workers.read_ahead(partial(_decode_file, files.absolute()), [*enumerate(source.files)])
     bar = tqdm(decoded, total=len(source.files), desc="packing", unit="file", disable=None, leave=False)
     with closing(decoded), bar, atomic_write(path) as new:  # type: ignore[type-var]
         write_frames(Path(new.name), source, compression, bar)
     return Store(path)
 
 
-def _decode(files: FrameFiles, unit: tuple[int, tuple[str, Role]]) -> tuple[NDArray[np.uint16], StoredFrame]:
+def _decode_file(files: FrameFiles, unit: tuple[int, tuple[str, Role]]) -> tuple[NDArray[np.uint16], StoredFrame]:
+    """Decode a numbered file, a raw or a 16-bit PNG, to its pixels and facts."""
     from eldata.raw.reading import read_raw
 
     number, (path, role) = unit
@@ -330,6 +333,7 @@ def write_frames(
 
 
 def _write_facts(file: h5py.File, source: Source, compression: Compression, facts: bytes) -> None:
+    """Write everything but the frames: their facts, the manifest, the version."""
     arrays = {"facts": facts}
     if source.listing is not None:
         arrays |= zip(("manifest/csv", "manifest/json"), source.listing, strict=True)
@@ -378,7 +382,7 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     count = len(store.frames)
     problems = [Problem(store.dataset, *problem, _ADVICE) for problem in _structure_problems(store)]
     if level == "full":
-        work = partial(_pixel_problems, PixelReader(store.path.absolute(), store.reader.facts_crc32))
+        work = partial(_find_pixel_problem, PixelReader(store.path.absolute(), store.reader.facts_crc32))
         checked = workers.read_ahead(work, store.frames)
         bar = tqdm(checked, total=count, desc=f"{store.dataset} (full)", unit="frame", disable=None, leave=False)
         problems += [Problem(store.dataset, *problem, _ADVICE) for problem in bar if problem]
@@ -407,7 +411,8 @@ def _structure_problems(store: Store) -> Iterator[tuple[str, str, str, str]]:
             yield record.path, "reference", record.reference, "nothing"
 
 
-def _pixel_problems(reader: PixelReader, frame: StoredFrame) -> tuple[str, str, str, str] | None:
+def _find_pixel_problem(reader: PixelReader, frame: StoredFrame) -> tuple[str, str, str, str] | None:
+    """Compare a frame's pixels with their digest; ``None`` if they agree."""
     require_files(reader.path)
     try:
         found = pixels_digest(reader.read(frame.key, slice(None), slice(None)))

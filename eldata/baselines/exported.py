@@ -111,6 +111,7 @@ def load_exported(path: Path) -> tuple[Any, TakenInput]:
 
 
 def _read_record(path: Path, content: str | bytes) -> TakenInput:
+    """Read the window, size multiple and clip range that :func:`save_network` has recorded."""
     content = content.encode() if isinstance(content, str) else content
     record = TextFile(f"{path}, {_RECORD}", EldataError, "export it again with save_network", content).json()
     record.schema(_SCHEMA)

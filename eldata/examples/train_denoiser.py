@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
     network = UNet(made, inputs=channels, width=options.width, depth=options.depth, seed=options.seed)
 
     def score_epoch(report: EpochReport, steps: int) -> dict[str, float]:
+        """Gather an epoch's speed and, when it is due, its validation scores."""
         is_due = options.validate and ((report.epoch + 1) % options.validate_every == 0 or report.step == steps)
         return {"items/s": report.items_per_s} | (validate(network, options, device) if is_due else {})
 
@@ -243,6 +244,7 @@ def validate(network: UNet, options: argparse.Namespace, device: torch.device) -
     network.eval()
 
     def predict(image: Any) -> Any:
+        """Denoise an image (C, h, w) by the network."""
         return network(torch.from_numpy(image)[None].to(device))[0].float().cpu().numpy()
 
     with torch.inference_mode():

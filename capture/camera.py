@@ -244,7 +244,7 @@ class Shutter:
 
 @cache
 def _read_times(dials: tuple[str, ...], step: Fraction, true_times: TrueTimes) -> tuple[ShutterTime, ...]:
-    """Read the dial's times, whose true ones are powers of two or just as named."""
+    """Read the dial's times; their true times are powers of two, or as named."""
     if true_times == "powers-of-two":
         return tuple(_find_standard(dial, step) for dial in dials)
     return tuple(ShutterTime(dial, parse_seconds(dial), as_exact(parse_seconds(dial))) for dial in dials)

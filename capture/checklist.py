@@ -81,7 +81,7 @@ class ChecklistRow:
 
 
 def make_rows(shots: Iterable[Shot]) -> tuple[ChecklistRow, ...]:
-    """Make the rows of shots: those in a row that are to be equal in everything are one."""
+    """Make checklist rows of shots; successive shots with equal settings share a row."""
 
     def settings(shot: Shot) -> tuple[object, ...]:
         """List the settings that shots of one row share."""
@@ -149,7 +149,7 @@ def _fill_text(text: str, plan: Plan) -> str:
 
 
 def plan_digest(plan: Plan) -> str:
-    """Return ``sha256:<hex>`` of what a plan decides; notes may change without losing what was ticked."""
+    """Hash a plan's decisions as ``sha256:<hex>``; notes may change without losing ticks."""
     content = plan.as_dict()
     for scene in content["scenes"]:
         del scene["notes"], scene["shots"]

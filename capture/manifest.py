@@ -219,7 +219,7 @@ class ExistingSet:
 
     @classmethod
     def load(cls, path: Path, folder: Path) -> ExistingSet:
-        """Read a set's manifest (CSV); ``folder`` is the dataset's, where the files are and more are to go.
+        """Read a set's manifest (CSV); ``folder`` is the dataset's, which gets the new files.
 
         Raises
         ------

@@ -332,7 +332,7 @@ class _Matcher:
         return None
 
     def note_extra(self, windows: Mapping[ShotBlock, range]) -> None:
-        """Name the frames that are no shot's: repeated ones, and those that are not in the plan."""
+        """Remark on frames without a shot: repeated ones, and others that are not in the plan."""
         for index in self._list_unexplained(range(len(self.frames))):
             frame = self.frames[index]
             kind, text = "extra", "not a shot of the plan"

@@ -150,7 +150,7 @@ class Plan:
         return self._replace_scene(replace(scene, notes=tuple(dict.fromkeys((*scene.notes, note)))))
 
     def _replace_scene(self, changed: ScenePlan) -> Plan:
-        """Return a plan with a scene in the place of the one of its name."""
+        """Return the plan with a scene changed, found by its name."""
         return replace(self, scenes=tuple(changed if scene.name == changed.name else scene for scene in self.scenes))
 
     def only(self, names: Sequence[str]) -> Plan:

@@ -154,7 +154,7 @@ class CaptureProtocol:
 
 @lru_cache(maxsize=64)  # every exposure of every time on a dial asks whether its frame is among them
 def _list_frames(protocol: CaptureProtocol) -> tuple[ProtocolFrame, ...]:
-    """List a scene's frames in order: references first, after each noisy ISO, and the nearest of each noisy frame."""
+    """List a scene's frames: references first and after each noisy ISO; each noisy frame has its nearest reference."""
     settings: list[tuple[int, int | None]] = [(protocol.base_iso, None)] * protocol.references
     for iso in protocol.noisy_isos:
         settings += [(iso, factor) for factor in sorted(protocol.low_light_factors) for _ in range(protocol.repeats)]

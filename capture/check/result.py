@@ -158,7 +158,7 @@ class Measure:
 
     @property
     def name(self) -> str:
-        """The kind's."""
+        """Name of its kind."""
         return self.kind.name
 
     @property

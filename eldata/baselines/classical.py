@@ -78,7 +78,7 @@ def noise_of_parameters(parameters: NoiseParameters, *, ratio: float, range_dn: 
 
 
 def noise_of_image(image: Values) -> SignalNoise:
-    """Estimate it from a frame itself (:func:`eldata.baselines.noise_line.noise_line`), without row noise.
+    """Estimate the noise line from a frame itself (:func:`eldata.baselines.noise_line.noise_line`), without row noise.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def invert_anscombe(values: Values, line: SignalNoise) -> Values:
 
 @lru_cache(maxsize=16)
 def _tabulate_means(sigma: float) -> tuple[Values, Values]:
-    """Return expected counts, ascending from 0, and E[f] of each, for a = 1."""
+    """Tabulate expected counts, ascending from 0, and the mean of their transform, E[f], for a = 1."""
     signals = np.concatenate([[0.0], np.geomspace(1e-3, _LARGEST, _POINTS)])
     # f has a kink where it becomes 0, at which quadratures of higher order would be no better than this even grid.
     nodes = np.linspace(-_REACH, _REACH, _NODES)
@@ -230,7 +230,7 @@ def decorrelation(channels: int) -> Values:
 
 
 def threshold_dct(image: Values, line: SignalNoise) -> NDArray[np.float32]:
-    """Return a denoised copy.
+    """Denoise a frame by thresholding the DCT of overlapping windows.
 
     Parameters
     ----------
@@ -316,7 +316,7 @@ class Baseline:
         return self.function(image, line)
 
     def versions(self) -> dict[str, str]:
-        """Name what decides its predictions: the version of the package that it needs, the hash of its weights.
+        """List the versions that decide its predictions: of the package that it needs, or the hash of its weights.
 
         Raises
         ------

@@ -89,7 +89,7 @@ def denoise(
 def _denoise_packed(
     frame: RawFrame, profile: CameraProfile | None, method: str, ratio: float, levels: FrameLevels
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], SignalNoise | None, str]:
-    """Denoise a frame, packed and amplified; return it, the noise line, and the source of that line."""
+    """Denoise a frame; return it packed and amplified, the result, its noise line, and the source of that line."""
     noisy, noise, known_from = Frame.of_decoded(frame).with_levels(levels), None, "known to the network alone"
     checked_number("ratio", ratio, above=0)
     if method not in METHODS:

@@ -109,7 +109,7 @@ class BaselineDenoiser:
             )
 
     def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:  # noqa: ARG002 # any
-        """Return its name, the versions of what it needs, and where the noise is known from.
+        """Return its name, the versions of its package or weights, and the source of the noise.
 
         Raises
         ------

@@ -96,7 +96,7 @@ class UNet(nn.Module):
 
     @property
     def multiple(self) -> int:
-        """Number of which heights and widths are multiples."""
+        """Number by which height and width must be divisible."""
         return 1 << self.depth
 
     def forward(self, noisy: torch.Tensor) -> torch.Tensor:
@@ -292,7 +292,7 @@ def _make_blocks(width: int, count: int) -> nn.Sequential:
 
 
 def remove_noise(image: Values, slope: float, offset: float, black: tuple[float, ...]) -> NDArray[np.float32]:
-    """Return the estimate of the network that ships, on a GPU if torch sees one.
+    """Denoise an image by the network that ships, on a GPU if torch sees one.
 
     Parameters
     ----------

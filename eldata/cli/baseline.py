@@ -86,7 +86,7 @@ def run(arguments: console.Arguments) -> int:
 
 
 def show_report(report: PredictionReport, arguments: console.Arguments) -> int:
-    """Show what was predicted, and the command that scores it if there is anything; return the exit code."""
+    """Show the predictions made, and the command that scores them, if any; return the exit code."""
     print(report.format_text())
     if report.written or report.kept:
         print(_make_scoring_line(arguments))
@@ -94,7 +94,7 @@ def show_report(report: PredictionReport, arguments: console.Arguments) -> int:
 
 
 def _make_scoring_line(arguments: console.Arguments) -> str:
-    """Make the command that scores what was written."""
+    """Make the command that scores the written predictions."""
     names = ("dataset", "manifest", "protocol", "subset", "root", "dark_shading")
     options = [
         f"--{name.replace('_', '-')} {shlex.quote(value)}" for name in names if (value := getattr(arguments, name))

@@ -49,7 +49,7 @@ def _draw_pixels(pixels: NDArray[Any], axes: Axes, _theme: Theme) -> None:
 
 
 def thumbnail(pixels: NDArray[np.uint8], most: int) -> bytes:
-    """Return (h, w, 3) as a JPEG of at most so many columns and rows, small enough for a notebook."""
+    """Encode (h, w, 3) as a JPEG of at most so many columns and rows, small enough for a notebook."""
     image = Image.fromarray(np.ascontiguousarray(pixels))
     image = image.reduce(max(1, -(-max(image.size) // most)))
     for quality in (85, 70, 50, 30):
@@ -60,12 +60,12 @@ def thumbnail(pixels: NDArray[np.uint8], most: int) -> bytes:
 
 
 def jpeg_of(pixels: NDArray[np.uint8], quality: int) -> bytes:
-    """Return (h, w, 3) as a JPEG whose colours are as fine as its brightness: noise of single pixels stays."""
+    """Encode (h, w, 3) as a JPEG whose colours are as fine as its brightness: noise of single pixels stays."""
     return _encode_image(Image.fromarray(np.ascontiguousarray(pixels)), format="JPEG", quality=quality, subsampling=0)
 
 
 def grey_png(values: NDArray[Any], low: float, high: float) -> bytes:
-    """Return (h, w) as a PNG in which ``low`` and below is black, ``high`` and above white."""
+    """Encode (h, w) as a PNG in which ``low`` and below is black, ``high`` and above white."""
     span = high - low if high > low else 1.0
     steps = np.rint(np.clip((values - low) / span, 0, 1) * (_GREYS - 1))
     pixels = np.rint(steps * (255 / (_GREYS - 1))).astype(np.uint8)

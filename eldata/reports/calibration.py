@@ -50,7 +50,7 @@ _READ_NOISE = {
 
 
 def calibration_page(calibration: Calibration) -> str:
-    """Return the page; the same calibration gives the same text."""
+    """Render the page of a calibration; the same calibration gives the same text."""
     isos = calibration.all_isos
     return render_page(
         "calibration.html",

@@ -75,7 +75,7 @@ def write_comparison_page(
 
 
 def comparison_page(comparison: Comparison, drawn: Sequence[DrawnImage] = ()) -> str:
-    """Return the page; the same comparison gives the same text."""
+    """Render the page of a comparison; the same comparison gives the same text."""
     first, *others = comparison.names
     return render_with_script(
         "compare.html",
@@ -297,7 +297,7 @@ def _view_image(place: int, scores: Sequence[UnitScore], image: DrawnImage, comp
 
 
 def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
-    """Return the plots of the method of this index among all but the first; none of no finite scores.
+    """Draw the plots of one method against the first, ``index`` 0 for the second; none without finite scores.
 
     They show the mean differences of groups with their intervals; each image by both methods; and its difference over
     the first one's score.

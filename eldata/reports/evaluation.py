@@ -89,7 +89,7 @@ def write_evaluation_page(
 
 
 def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
-    """Return the page; the same result and pictures give the same text."""
+    """Render the page of an evaluation; the same result and pictures give the same text."""
     kind = result.kind
     ids = {score.path: f"picture-{index}" for index, (_, score, _) in enumerate(shown, start=1)}
     plots = score_plots(result)

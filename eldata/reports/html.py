@@ -197,7 +197,7 @@ def draw_plot(
 
 
 def _slim_svg(svg: str) -> str:
-    """Return the same picture in about half the characters: a page holds a hundred of them."""
+    """Shorten an SVG to about half its characters, the picture unchanged: a page holds a hundred of them."""
     svg = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"\s+", " ", svg).replace("> <", "><")
     # A hundredth of a point cannot be seen. Scales of letters stay as they are.

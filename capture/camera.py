@@ -142,11 +142,11 @@ class ShutterTime:
 
     @property
     def true_s(self) -> float:
-        """What the camera gives, in seconds."""
+        """True exposure time, in seconds."""
         return float(self.true_exact)
 
     def stops_off(self, exposure_s: Fraction) -> float:
-        """Return the distance in stops of a time from this setting: from its name or what it gives, the nearer one.
+        """Compute the distance in stops of a time from this setting: from its name or its true time, the nearer one.
 
         Some makers write the name into EXIF, others what the camera gives.
         """
@@ -244,6 +244,7 @@ class Shutter:
 
 @cache
 def _read_times(dials: tuple[str, ...], step: Fraction, true_times: TrueTimes) -> tuple[ShutterTime, ...]:
+    """Read the dial's times; their true times are powers of two, or as named."""
     if true_times == "powers-of-two":
         return tuple(_find_standard(dial, step) for dial in dials)
     return tuple(ShutterTime(dial, parse_seconds(dial), as_exact(parse_seconds(dial))) for dial in dials)
@@ -272,6 +273,7 @@ def borders(shutter: Shutter) -> tuple[ExactNumber, ...]:
 
 
 def _find_standard(name: str, step: Fraction) -> ShutterTime:
+    """Find a standard shutter time in steps of ``step`` stop by its name, in seconds."""
     seconds = parse_seconds(name)
     known = ladder(step)
     time = known.get(seconds)

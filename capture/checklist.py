@@ -64,7 +64,7 @@ class ChecklistRow:
 
     @property
     def dial(self) -> str:
-        """The exposure time as the camera marks it."""
+        """Exposure time, by its mark on the camera."""
         return self.shot.setting.dial
 
     @property
@@ -81,9 +81,10 @@ class ChecklistRow:
 
 
 def make_rows(shots: Iterable[Shot]) -> tuple[ChecklistRow, ...]:
-    """Make the rows of shots: those in a row that are to be equal in everything are one."""
+    """Make checklist rows of shots; successive shots with equal settings share a row."""
 
     def settings(shot: Shot) -> tuple[object, ...]:
+        """List the settings that shots of one row share."""
         return shot.role, shot.iso, shot.setting.dial, shot.factor, shot.reference, shot.level, shot.series
 
     groups = [list(group) for _, group in groupby(shots, key=settings)]
@@ -116,24 +117,26 @@ def calibration_parts(plan: Plan) -> tuple[CalibrationPart, ...]:
 
 
 def read_items(kind: str, plan: Plan) -> tuple[Mapping[str, str], ...]:
-    """Read what to do before the first shot (``"preparation"``), or before calibration frames of a kind.
+    """Read the tasks before the first shot (``"preparation"``), or before calibration frames of a kind.
 
     Each item has a ``name`` (what is ticked stays ticked when the words change), a ``text`` and, in one line, ``why``.
     """
-    return tuple(item | {"text": _fill_in(item["text"], plan)} for item in _read_words()[kind])
+    return tuple(item | {"text": _fill_text(item["text"], plan)} for item in _read_words()[kind])
 
 
 def read_steps(plan: Plan) -> tuple[str, ...]:
     """Read the steps at each scene."""
-    return tuple(_fill_in(text, plan) for text in _read_words()["at_each_scene"])
+    return tuple(_fill_text(text, plan) for text in _read_words()["at_each_scene"])
 
 
 @cache
 def _read_words() -> Mapping[str, Any]:
+    """Read the checklist's texts."""
     return TextFile(TEMPLATES / "checklist.toml", CaptureError).toml().data
 
 
-def _fill_in(text: str, plan: Plan) -> str:
+def _fill_text(text: str, plan: Plan) -> str:
+    """Fill a text's placeholders with the plan's base ISO, files, extension and step of the shutter."""
     return text.format(
         base_iso=plan.protocol.base_iso,
         files=len(plan.shots),
@@ -146,14 +149,15 @@ def _fill_in(text: str, plan: Plan) -> str:
 
 
 def plan_digest(plan: Plan) -> str:
-    """Return ``sha256:<hex>`` of what a plan decides; notes may change without losing what was ticked."""
+    """Hash a plan's decisions as ``sha256:<hex>``; notes may change without losing ticks."""
     content = plan.as_dict()
     for scene in content["scenes"]:
         del scene["notes"], scene["shots"]
-    return f"sha256:{hashlib.sha256(_compact_json(content).encode()).hexdigest()}"
+    return f"sha256:{hashlib.sha256(_dump_json(content).encode()).hexdigest()}"
 
 
-def _compact_json(data: object) -> str:
+def _dump_json(data: object) -> str:
+    """Write data as JSON without spaces, keys sorted."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"))
 
 
@@ -164,7 +168,7 @@ def html_checklist(plan: Plan) -> str:
     # With the line end that stands before them in the page, since the policy's hashes are of elements' whole content.
     style, script = ("\n" + (TEMPLATES / f"checklist.{suffix}").read_text(encoding="utf-8") for suffix in ("css", "js"))
     # No text in the data can close its script element.
-    data = _compact_json(_page_data(plan)).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    data = _dump_json(_collect_data(plan)).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
     return render_page(
         "checklist.html",
         TEMPLATES,
@@ -189,10 +193,11 @@ def _policy_hash(text: str) -> str:
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 
-def _page_data(plan: Plan) -> dict[str, Any]:
+def _collect_data(plan: Plan) -> dict[str, Any]:
     """Collect the data that the page's script computes with."""
 
     def frames(rows: Iterable[ChecklistRow]) -> list[dict[str, Any]]:
+        """List number, count, ISO and dial of each row."""
         return [{"number": r.shot.number, "count": r.count, "iso": r.shot.iso, "dial": r.dial} for r in rows]
 
     parts, times = calibration_parts(plan), plan.camera.shutter.times
@@ -242,6 +247,7 @@ def text_checklist(plan: Plan) -> str:
     """Return the checklist as plain text."""
 
     def heading(level: int, text: str) -> str:
+        """Underline a heading."""
         return f"{text}\n{'=-'[level - 1] * len(text)}"
 
     return _format_checklist(plan, heading, one_line, lambda cells: text_table(_HEADER, cells, _LEFT))
@@ -251,6 +257,7 @@ def markdown_checklist(plan: Plan) -> str:
     """Return the checklist as Markdown; its tables are aligned for reading as they stand."""
 
     def heading(level: int, text: str) -> str:
+        """Write a heading in Markdown."""
         return f"{'#' * level} {text}"
 
     return _format_checklist(plan, heading, markdown_text, lambda cells: aligned_markdown((_HEADER, *cells), _LEFT))
@@ -262,10 +269,14 @@ def _format_checklist(
     plain: Callable[[str], str],
     table: Callable[[Sequence[Sequence[str]]], str],
 ) -> str:
+    """Write a plan's checklist in a format given by its functions of headings, plain text and tables."""
+
     def boxes(items: Iterable[Mapping[str, str]]) -> str:
+        """Write a box to tick for each item."""
         return "\n".join(f"- [ ] {item['text']}. {item['why']}" for item in items)
 
     def rows(shots: Iterable[Shot]) -> str:
+        """Write the table of shots."""
         return table([_format_row(row) for row in make_rows(shots)])
 
     protocol = plan.protocol
@@ -292,6 +303,7 @@ def _format_checklist(
 
 
 def _format_row(row: ChecklistRow) -> tuple[str, ...]:
+    """List a row's cells: numbers, role, ISO, time, the reference to compare with, and blanks to fill in."""
     compared = "" if row.shot.reference is None else f"with {row.shot.reference}"
     return ("[ ]", row.numbers, row.what, str(row.shot.iso), f"{row.dial} s", compared, "_" * 12, "_" * 16)
 

@@ -159,6 +159,7 @@ def make_dataset(
 def _make_record(
     plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str, reference: str | None
 ) -> FrameRecord:
+    """Make the manifest's row of a shot's frame, with exact ratio and flags."""
     flags = [WARM_SENSOR] if shot.series == WARM else []
     if shot.true_iso is not None and shot.named_ratio is not None and shot.factor is not None:
         # Names of ISOs say another ratio than measured speeds.
@@ -178,6 +179,7 @@ def _make_record(
 
 
 def _hash_file(row: Placement) -> Placement:
+    """Fill in the size and SHA-256 of the original file."""
     return replace(row, record=replace(row.record, size_bytes=row.path.stat().st_size, sha256=sha256_of(row.path)))
 
 
@@ -217,7 +219,7 @@ class ExistingSet:
 
     @classmethod
     def load(cls, path: Path, folder: Path) -> ExistingSet:
-        """Read a set's manifest (CSV); ``folder`` is the dataset's, where the files are and more are to go.
+        """Read a set's manifest (CSV); ``folder`` is the dataset's, which gets the new files.
 
         Raises
         ------
@@ -273,6 +275,7 @@ class ExistingSet:
         there = self.find_rows(plan)
 
         def keep(scene: str, shots: Sequence[Shot]) -> tuple[Shot, ...]:
+            """Keep the shots that the set lacks."""
             return tuple(shot for shot in shots if (scene, shot.number) not in there)
 
         parts = [replace(scene, shots=keep(scene.name, scene.shots)) for scene in plan.scenes]
@@ -337,11 +340,12 @@ def place_files(rows: Sequence[Placement], how: Literal["copy", "link"], workers
             )
     for row in missing:
         row.target.parent.mkdir(parents=True, exist_ok=True)
-    for _ in workers.run(_copy if how == "copy" else _link, missing, label=how):
+    for _ in workers.run(_copy_file if how == "copy" else _link_file, missing, label=how):
         pass
 
 
-def _copy(row: Placement) -> None:
+def _copy_file(row: Placement) -> None:
+    """Copy a file to its target, whole or not at all; refuse one that has changed since it was hashed."""
     digest = hashlib.sha256()
     with row.path.open("rb") as reading, atomic_write(row.target) as writing:
         while piece := _read_piece(reading, row.path):
@@ -354,11 +358,13 @@ def _copy(row: Placement) -> None:
 
 
 def _read_piece(file: IO[bytes], path: Path) -> bytes:
+    """Read the next bytes of a file; an error names the file."""
     with naming_file(path):
         return file.read(_PIECE)
 
 
-def _link(row: Placement) -> None:
+def _link_file(row: Placement) -> None:
+    """Make a hard link to a file."""
     try:
         row.target.hardlink_to(row.path)
     except OSError as error:
@@ -368,6 +374,7 @@ def _link(row: Placement) -> None:
 
 
 def _holds_file(row: Placement) -> bool:
+    """Check that the target is the file already, or an equal copy."""
     if not row.target.is_file():
         return False
     if row.target.samefile(row.path):

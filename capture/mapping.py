@@ -95,7 +95,7 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
 
 
 def explain_metering(plan: Plan, observed: Observed, matched: Match) -> Match:
-    """Add to a match at which other metered time the frames are there of scenes that lack most of them.
+    """Remark on scenes that lack most frames but have them at another metered time.
 
     Of the frames that this explains, nothing else is said. Only times of frames at the base ISO are tried: references
     are taken at the metered time.

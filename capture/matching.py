@@ -228,7 +228,7 @@ class _Matcher:
             return stretches
         ranked = sorted(stretches, key=lambda frames: (sum(i is not None for i in frames), _find_ends(frames)[0]))
         if len(blocks) > 1:
-            names = ", ".join(" to ".join(map(self._name, _find_ends(frames))) for frames in ranked[:spare])
+            names = ", ".join(" to ".join(map(self._name_file, _find_ends(frames))) for frames in ranked[:spare])
             self._note(
                 "ambiguous",
                 f"{_join_titles(blocks)} have equal exposures, and {len(stretches)} such series were found for "
@@ -252,10 +252,10 @@ class _Matcher:
                     self.used.pop(index, None)
                 self.used |= zip(chosen, shots, strict=True)
                 block, shot = shots[-1]
-                taken = " to ".join(dict.fromkeys(map(self._name, (chosen[0], chosen[-1]))))
+                taken = " to ".join(dict.fromkeys(map(self._name_file, (chosen[0], chosen[-1]))))
                 text = f"{block.title} frame {shot.number} was taken more than once; the {self.repeated} one is used"
                 for index in (index for index in run if index not in chosen):
-                    self._note("repeated", f"{self._name(index)}: {text}, {taken}", (block, shot), index)
+                    self._note("repeated", f"{self._name_file(index)}: {text}, {taken}", (block, shot), index)
 
     def _split_run(self, run: range) -> list[range]:
         """Split a run of equal settings where one scene ends and another begins: at its longest pause there.
@@ -281,12 +281,13 @@ class _Matcher:
         return [range(*ends) for ends in pairwise([run.start, *sorted(cuts - {run.start}), run.stop])]
 
     def _pause(self, index: int) -> float:
+        """Compute the seconds between a frame and the one before; 0 for the first."""
         return self.times_s[index] - self.times_s[index - 1] if index else 0.0
 
     def fill_gaps(self, windows: Mapping[ShotBlock, range]) -> None:
         """Give shots without a frame the frame with their settings that was taken elsewhere around the scene."""
         for block, window in windows.items():
-            at = self._indices(block)
+            at = self._index_frames(block)
             for shot in block.shots:
                 if shot.number in at:
                     continue
@@ -299,13 +300,13 @@ class _Matcher:
                 after = [number for number, i in at.items() if i < chosen]
                 at[shot.number] = chosen
                 where = f"after frame {max(after, key=lambda number: at[number])}" if after else "before all others"
-                text = f"{self._name(chosen)}: {block.title} frame {shot.number}, taken out of order ({where})"
+                text = f"{self._name_file(chosen)}: {block.title} frame {shot.number}, taken out of order ({where})"
                 self._note("out-of-order", text, (block, shot), chosen)
 
     def note_missing(self, windows: Mapping[ShotBlock, range]) -> None:
         """Name the shots without a frame, and a frame with nearly their settings that was meant for them."""
         for block in self.blocks:
-            at = self._indices(block)
+            at = self._index_frames(block)
             for shot in block.shots:
                 if shot.number in at:
                     continue
@@ -331,7 +332,7 @@ class _Matcher:
         return None
 
     def note_extra(self, windows: Mapping[ShotBlock, range]) -> None:
-        """Name the frames that are no shot's: repeated ones, and those that are not in the plan."""
+        """Remark on frames without a shot: repeated ones, and others that are not in the plan."""
         for index in self._list_unexplained(range(len(self.frames))):
             frame = self.frames[index]
             kind, text = "extra", "not a shot of the plan"
@@ -343,8 +344,8 @@ class _Matcher:
                     break
             self._note(kind, f"{frame.path.name}: {frame.settings}: {text}; not used", frame=index)
 
-    def _indices(self, block: ShotBlock) -> dict[int, int]:
-        """Return the frame of each shot of a block so far, by the shot's number."""
+    def _index_frames(self, block: ShotBlock) -> dict[int, int]:
+        """Map the number of each matched shot of a block to its frame's index."""
         return {shot.number: index for index, (owner, shot) in self.used.items() if owner is block}
 
     def _list_unexplained(self, among: range) -> list[int]:
@@ -358,11 +359,13 @@ class _Matcher:
         scene, number = ("", None) if of is None else (of[0].scene, of[1].number)
         self.remarks.append(MatchRemark(kind, text, scene, number, path))
 
-    def _name(self, index: int) -> str:
+    def _name_file(self, index: int) -> str:
+        """Name a frame's file."""
         return self.frames[index].path.name
 
 
 def _join_titles(blocks: Sequence[ShotBlock]) -> str:
+    """Write the blocks' titles with commas."""
     return ", ".join(block.title for block in blocks)
 
 
@@ -403,7 +406,8 @@ def align(
     cost: dict[Cell, float] = {(_BETWEEN, 0, 0): 0.0}
     steps: dict[Cell, tuple[Cell, int | None]] = {}
 
-    def offer(cell: Cell, before: Cell, added: float, frame: int | None = None) -> None:
+    def offer_step(cell: Cell, before: Cell, added: float, frame: int | None = None) -> None:
+        """Keep the step from ``before`` to ``cell`` if it makes the way there cheaper."""
         # Offered in the order of preference: what comes later must be better, not equal.
         if before in cost and cost[before] + added < cost.get(cell, math.inf) - 1e-12:
             cost[cell] = cost[before] + added
@@ -417,13 +421,13 @@ def align(
                 cell = (sequence, shots, done)
                 if can_be(sequence, shots - 1, frame):
                     # Going on with the sequence, or beginning it here with the shots up to this one missing.
-                    offer(cell, (sequence, shots - 1, frame), pauses[frame], frame)
-                    offer(cell, outside, _MISSING * (shots - 1), frame)
+                    offer_step(cell, (sequence, shots - 1, frame), pauses[frame], frame)
+                    offer_step(cell, outside, _MISSING * (shots - 1), frame)
                 if shots < length:
-                    offer(cell, (sequence, shots, frame), _EXTRA + pauses[frame])
-                offer(cell, (sequence, shots - 1, done), _MISSING)
-            offer(between, (sequence, length, done), 0.0)
-        offer(between, outside, _EXTRA)
+                    offer_step(cell, (sequence, shots, frame), _EXTRA + pauses[frame])
+                offer_step(cell, (sequence, shots - 1, done), _MISSING)
+            offer_step(between, (sequence, length, done), 0.0)
+        offer_step(between, outside, _EXTRA)
     return _trace(steps, len(times_s))
 
 

@@ -83,7 +83,7 @@ class Plan:
 
     @property
     def extent(self) -> str:
-        """How many scenes there are, in words."""
+        """Number of scenes, in words."""
         return counted(len(self.scenes), "scene")
 
     def scene(self, name: str) -> ScenePlan:
@@ -150,6 +150,7 @@ class Plan:
         return self._replace_scene(replace(scene, notes=tuple(dict.fromkeys((*scene.notes, note)))))
 
     def _replace_scene(self, changed: ScenePlan) -> Plan:
+        """Return the plan with a scene changed, found by its name."""
         return replace(self, scenes=tuple(changed if scene.name == changed.name else scene for scene in self.scenes))
 
     def only(self, names: Sequence[str]) -> Plan:
@@ -239,6 +240,7 @@ def make_plan(
 
 
 def _scene_as_dict(scene: ScenePlan) -> dict[str, Any]:
+    """Convert a scene to plain JSON types."""
     return {
         "name": scene.name,
         "metered_s": str(scene.metered_s),
@@ -249,6 +251,7 @@ def _scene_as_dict(scene: ScenePlan) -> dict[str, Any]:
 
 
 def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
+    """Convert the calibration frames to plain JSON types."""
     return {
         "isos": list(calibration.isos),
         "bias_frames": calibration.bias_frames,
@@ -260,6 +263,7 @@ def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
 
 
 def _shot_as_dict(shot: Shot) -> dict[str, Any]:
+    """Convert a shot to plain JSON types, without its empty fields."""
     content = {
         "number": shot.number,
         "role": shot.role,
@@ -280,6 +284,7 @@ def _shot_as_dict(shot: Shot) -> dict[str, Any]:
 
 
 def _read_protocol(fields: Fields) -> CaptureProtocol:
+    """Read a protocol from a JSON object."""
     fields.only(names_of(CaptureProtocol))
     return CaptureProtocol(
         fields.whole("base_iso", at_least=1),
@@ -291,6 +296,7 @@ def _read_protocol(fields: Fields) -> CaptureProtocol:
 
 
 def _read_scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> ScenePlan:
+    """Read a scene from a JSON object, and refuse it if its shots are not as computed."""
     fields.only(names_of(ScenePlan))
     name, notes = fields.text("name"), fields.texts("notes", unseen=True)
     scene = plan_scene(camera, protocol, name, fields.parsed("metered_s", parse_seconds), notes)
@@ -299,6 +305,7 @@ def _read_scene(fields: Fields, camera: CameraDescription, protocol: CaptureProt
 
 
 def _read_calibration(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> CalibrationPlan:
+    """Read the calibration frames from a JSON object; refuse shots that are not as computed."""
     fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "warm", "shots"))
     calibration = plan_calibration(
         camera,
@@ -314,7 +321,7 @@ def _read_calibration(fields: Fields, camera: CameraDescription, protocol: Captu
 
 
 def _check_shots(fields: Fields, shots: Sequence[Shot]) -> None:
-    """Refuse a file whose shots are not those that its decisions give."""
+    """Refuse a file whose shots differ from those computed from its decisions."""
     items = fields.objects("shots")
     advice = " (shots follow from the rest: change that with capture plan --remeter, not the shots)"
     for item, shot in zip(items, shots, strict=False):

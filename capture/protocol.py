@@ -115,7 +115,7 @@ class CaptureProtocol:
             The frame at index n has the number n + 1. The reference of a noisy frame is the one nearest by
             number, the earlier of two equally near: by default the noisy frames 4 and 5 use 6, not 1.
         """
-        return _frames(self)
+        return _list_frames(self)
 
     def exposure_s(self, frame: ProtocolFrame, metered_s: Fraction | int) -> Fraction:
         """Return the exposure time of a frame, exactly.
@@ -153,7 +153,8 @@ class CaptureProtocol:
 
 
 @lru_cache(maxsize=64)  # every exposure of every time on a dial asks whether its frame is among them
-def _frames(protocol: CaptureProtocol) -> tuple[ProtocolFrame, ...]:
+def _list_frames(protocol: CaptureProtocol) -> tuple[ProtocolFrame, ...]:
+    """List a scene's frames: references first and after each noisy ISO; each noisy frame has its nearest reference."""
     settings: list[tuple[int, int | None]] = [(protocol.base_iso, None)] * protocol.references
     for iso in protocol.noisy_isos:
         settings += [(iso, factor) for factor in sorted(protocol.low_light_factors) for _ in range(protocol.repeats)]
@@ -170,6 +171,7 @@ def _frames(protocol: CaptureProtocol) -> tuple[ProtocolFrame, ...]:
 
 
 def _check_distinct(name: str, values: object) -> None:
+    """Refuse values other than a tuple of distinct whole numbers above 0."""
     if not isinstance(values, tuple) or not values:
         raise ArgumentError(f"{name} must be a tuple of one or more positive whole numbers, found {values!r}")
     for index, value in enumerate(values):

@@ -108,7 +108,7 @@ def sum_duration_s(shots: Sequence[Shot], dial_s: float = DIAL_S) -> float:
 
 
 def describe_duration(shots: Sequence[Shot]) -> str:
-    """Describe how long shots take, and what of it for what."""
+    """Describe how long shots take: exposures, turns of a dial and files written."""
     exposures_s = sum(shot.setting.true_s for shot in shots)
     return (
         f"about {format_minutes(sum_duration_s(shots))}: exposures {format_minutes(exposures_s)}, "
@@ -117,6 +117,7 @@ def describe_duration(shots: Sequence[Shot]) -> str:
 
 
 def _count_turns(shots: Sequence[Shot]) -> int:
+    """Count the turns of the ISO and shutter dials, the first setting included."""
     changes = sum((shot.iso != last.iso) + (shot.setting != last.setting) for last, shot in pairwise(shots))
     return changes + 2 * bool(shots)
 
@@ -147,7 +148,7 @@ def plan_shots(camera: CameraDescription, protocol: CaptureProtocol, metered_s: 
     shots = _try_shots(camera, protocol, metered_s)
     if isinstance(shots, tuple):
         return shots
-    raise ImpossibleShotError(_say_what_to_change(camera, protocol, metered_s, shots))
+    raise ImpossibleShotError(_advise_change(camera, protocol, metered_s, shots))
 
 
 def check_isos(camera: CameraDescription, protocol: CaptureProtocol) -> None:
@@ -158,6 +159,7 @@ def check_isos(camera: CameraDescription, protocol: CaptureProtocol) -> None:
 
 
 def _check_iso(camera: CameraDescription, iso: int) -> None:
+    """Refuse an ISO that the camera does not have."""
     if iso not in camera.isos:
         raise CaptureError(
             f"{camera.name} has no ISO {iso}; it has {', '.join(map(str, camera.isos))}: choose others, or correct the "
@@ -209,9 +211,10 @@ def _try_shots(
 # --- what to change -----------------------------------------------------------------------------------------------
 
 
-def _say_what_to_change(
+def _advise_change(
     camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction, frame: ProtocolFrame
 ) -> str:
+    """Explain which frame the camera cannot take at a metered time, and what to change."""
     metered = f"metered at {metered_s} s (ISO {protocol.base_iso})"
     fitting = [time for time in camera.shutter.times if isinstance(_try_shots(camera, protocol, time.nominal_s), tuple)]
     if not fitting:
@@ -279,7 +282,7 @@ class ScenePlan:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What to know about these shots: a metered time that was rounded, ratios far off their factor."""
+        """Remarks on these shots: a metered time that was rounded, ratios far off their factor."""
         remarks = []
         base = self.shots[0].setting
         if base.nominal_s != self.metered_s:
@@ -445,6 +448,7 @@ def plan_calibration(
 def _choose_flat_setting(
     camera: CameraDescription, iso: int, level: Fraction, wanted: ExactNumber, clips_at_s: Fraction
 ) -> ShutterTime:
+    """Choose the shutter time of a flat, rounded down; refuse one that the camera cannot give."""
     what = f"the flat of {float(100 * level):.0f} % at ISO {iso} needs {float(wanted):.3g} s"
     # Rounded down, never up: a flat that clips is of no use, a darker one is.
     setting = camera.round_down(wanted)

@@ -128,7 +128,7 @@ def check_flats(unit: Unit) -> CheckedGroup:
         group.measure("saturation", path, Estimate(frame.cells.clipped_share).in_percent())
         group.measure("evenness", path, Estimate(measure_unevenness(frame.cells)).in_percent())
         if waiting is None or waiting.exposure.exposure_s != frame.exposure.exposure_s:
-            _remark_single(waiting, group)
+            _remark_on_single(waiting, group)
             waiting = frame
             continue
         _compare_pair(waiting, frame, group)
@@ -137,16 +137,18 @@ def check_flats(unit: Unit) -> CheckedGroup:
         caption = f"{file_name(waiting.record.path)}: light over its median, ±50 %"
         group.pictures += [draw_scene(waiting, 1.0), draw_map(caption, waiting.record.path, light, 0.5)]
         waiting = None
-    _remark_single(waiting, group)
+    _remark_on_single(waiting, group)
     return group
 
 
-def _remark_single(frame: ReducedFrame | None, group: CheckedGroup) -> None:
+def _remark_on_single(frame: ReducedFrame | None, group: CheckedGroup) -> None:
+    """Remark on a flat without a partner of the same exposure time."""
     if frame is not None:
         group.remark(frame.record.path, "has no partner of the same exposure time beside it: take flats in pairs")
 
 
 def _compare_pair(first: ReducedFrame, second: ReducedFrame, group: CheckedGroup) -> None:
+    """Measure a flat's brightness over its partner's, in the channel that differs most."""
     path = second.record.path
     known = [ratio for ratio in measure_brightness(first.cells, second.cells) if ratio is not None]
     if not known:

@@ -69,7 +69,7 @@ def split_units(records: Sequence[FrameRecord], folder: Path, workers: Workers) 
     """Split a manifest's rows into units of work."""
     groups: dict[str, list[FrameRecord]] = {}
     for record in records:
-        groups.setdefault(_unit_name(record), []).append(record)
+        groups.setdefault(_name_unit(record), []).append(record)
     within = Workers(max(1, workers.jobs // max(1, len(groups))))
     return [
         Unit(name, folder, tuple(sorted(rows, key=lambda record: (record.role == "noisy", record.path))), within)
@@ -82,7 +82,8 @@ def check_unit(unit: Unit) -> CheckedGroup:
     return {"bias": check_bias, "flat": check_flats}.get(unit.records[0].role, check_scene)(unit)
 
 
-def _unit_name(record: FrameRecord) -> str:
+def _name_unit(record: FrameRecord) -> str:
+    """Name the unit of a row: camera and scene, or camera, role and ISO."""
     if record.role in ("bias", "flat"):
         name = f"{record.camera} {record.role} ISO {'?' if record.iso is None else f'{float(record.iso):g}'}"
         return f"{name} {WARM_SENSOR}" if WARM_SENSOR in record.flags else name

@@ -85,7 +85,7 @@ class Cells:
         return [index for index, colour in enumerate(self.colours) if colour == "G"]
 
     def pooled(self, rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Return means of groups of cells, and which groups hold no saturated pixel."""
+        """Average groups of cells; return also the mask of groups without saturated pixels."""
         channels, height, width = self.mean_dn.shape
         height, width = height // rows, width // columns
         shape = (channels, height, rows, width, columns)
@@ -195,7 +195,7 @@ class Unit:
 
     @property
     def path(self) -> Path:
-        """The first file: what an error of a worker names."""
+        """First file, which an error of a worker names."""
         return self.folder / self.records[0].path
 
 
@@ -229,6 +229,7 @@ def reduce_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
     """
 
     def reduce(record: FrameRecord) -> ReducedFrame | EldataError:
+        """Read a frame and reduce it to cells; return the error if it cannot be read."""
         from eldata.raw.levels import pack
         from eldata.raw.reading import read_raw
 
@@ -320,6 +321,7 @@ def _colour_signed(values: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def _encode_jpeg(colours: NDArray[np.floating]) -> bytes:
+    """Encode colours (h, w, 3), 0 to 255, as a JPEG."""
     from PIL import Image
 
     image = Image.fromarray(np.rint(colours).astype(np.uint8))

@@ -150,7 +150,7 @@ def _make_estimate(value: float, by_row: Array) -> Estimate:
 
 
 def measure_change(first: Cells, second: Cells, brightness: float, offset_dn: Sequence[float] | None = None) -> float:
-    """Return the share of the picture that changed differently from the whole: something moved.
+    """Compute the share of the picture that changed differently from the whole: something moved.
 
     Blocks of 8 x 8 packed pixels whose green changed by more than a twentieth and by more than eight robust standard
     deviations of blocks as bright, of those that are well exposed in the first frame, beside another such block: one
@@ -183,7 +183,7 @@ def measure_change(first: Cells, second: Cells, brightness: float, offset_dn: Se
 
 
 def _pool_strips(first: Cells, second: Cells) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the strips' means in two frames, and which strips are unclipped in both."""
+    """Average strips of two frames; return also the mask of strips unclipped in both."""
     x, unclipped_x = first.pooled(*STRIP)
     y, unclipped_y = second.pooled(*STRIP)
     return x.astype(np.float64), y.astype(np.float64), unclipped_x & unclipped_y

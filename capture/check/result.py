@@ -91,14 +91,15 @@ RMS_GRADIENT: Final = 0.01
 """Of full scale, per pixel of the mosaic: of a scene with detail, normalised."""
 
 
-def _error_at(score_db: float) -> float:
+def _error_from_psnr(score_db: float) -> float:
+    """Convert a PSNR in dB to an RMS error, a share of full scale."""
     return float(10 ** (-score_db / 20))
 
 
-LIGHT_LOOK: Final = _error_at(LOOK_DB) / RMS_OF_SCENE
-LIGHT_AGAIN: Final = _error_at(BEST_PSNR_DB) / RMS_OF_SCENE
-SHIFT_LOOK_PX: Final = _error_at(LOOK_DB) / RMS_GRADIENT
-SHIFT_AGAIN_PX: Final = _error_at(BEST_PSNR_DB) / RMS_GRADIENT
+LIGHT_LOOK: Final = _error_from_psnr(LOOK_DB) / RMS_OF_SCENE
+LIGHT_AGAIN: Final = _error_from_psnr(BEST_PSNR_DB) / RMS_OF_SCENE
+SHIFT_LOOK_PX: Final = _error_from_psnr(LOOK_DB) / RMS_GRADIENT
+SHIFT_AGAIN_PX: Final = _error_from_psnr(BEST_PSNR_DB) / RMS_GRADIENT
 _SOURCE: Final = (
     f"{{}} leaves a perfect denoiser {LOOK_DB} dB, at an {{}}; to shoot again: {BEST_PSNR_DB} dB, the best published "
     "denoising (ELD x100)"
@@ -129,6 +130,7 @@ def find_kind(name: str) -> MeasureKind:
 
 @cache
 def _read_kinds() -> Mapping[str, Any]:
+    """Read the table of all kinds of measure, by name."""
     return TextFile(Path(__file__).with_name("kinds.toml"), ArgumentError).toml().data
 
 
@@ -156,7 +158,7 @@ class Measure:
 
     @property
     def name(self) -> str:
-        """The kind's."""
+        """Name of its kind."""
         return self.kind.name
 
     @property
@@ -234,6 +236,7 @@ def worst(verdicts: list[Verdict]) -> Verdict:
 
 
 def _drop_infinite(value: float) -> float | None:
+    """Replace an infinite number by ``None``, for JSON."""
     return value if math.isfinite(value) else None
 
 
@@ -296,7 +299,7 @@ class CheckedGroup:
 
     @property
     def reasons(self) -> tuple[Measure | Remark, ...]:
-        """What made the verdict, and what else to look at; the worst first."""
+        """Remarks and measures behind the verdict, and others worth a look; the worst first."""
         findings = [finding for finding in self.findings if finding.verdict != "keep"]
         return tuple(sorted(findings, key=lambda finding: -VERDICTS.index(finding.verdict)))
 
@@ -305,7 +308,7 @@ class CheckedGroup:
         return worst([finding.verdict for finding in self.findings if finding.path == path])
 
     def columns(self) -> tuple[str, ...]:
-        """Return the names of what was measured of pairs, in the order in which it first occurs."""
+        """List the names of the pairs' measures, in order of first occurrence."""
         return tuple(dict.fromkeys(measure.name for measure in self.measures if measure.path in self.pairs))
 
     def row(self, path: str) -> dict[str, Measure]:
@@ -401,10 +404,12 @@ def _find_alike(groups: Iterable[CheckedGroup]) -> list[list[Measure]]:
 
 
 def _compute_share(measure: Measure) -> float:
+    """Divide a measured ratio by its expected one."""
     return measure.value / measure.kind.expected
 
 
 def _join_alike(many: Sequence[Measure]) -> str:
+    """Describe ratios of many files that are off by about one factor, in a sentence."""
     first, shares = many[0], [100 * _compute_share(measure) for measure in many]
     return (
         f"{first.verdict}: {len(many)} files alike, such as {in_line(first.path)}: {first.name}: by the pixels it is "

@@ -170,16 +170,16 @@ def _check_pair(
         if expected is not None:
             scale = 100 * float(expected)
             signal = Estimate(scale * fit.slope.value, scale * fit.slope.standard_error)
-            group.measure("signal", path, signal, ratio=_number(expected))
+            group.measure("signal", path, signal, ratio=_format_number(expected))
         return
     if nominal is not None:
         advice = _choose_advice(record, ratio, exif_ratio, noisy)
         kind = _make_ratio_kind("ratio", nominal, RATIO_LOOK, RATIO_AGAIN, advice)
-        group.measure(kind, path, ratio, against=against, ratio=_number(nominal))
+        group.measure(kind, path, ratio, against=against, ratio=_format_number(nominal))
     if exif_ratio is not None:
         again, advice = _judge_exif(record, ratio, _list_dial_ratios(reference.exposure, frame.exposure))
         kind = _make_ratio_kind("EXIF ratio", exif_ratio, LIGHT_LOOK, again, advice)
-        group.measure(kind, path, ratio, against=against, ratio=_number(exif_ratio))
+        group.measure(kind, path, ratio, against=against, ratio=_format_number(exif_ratio))
     changed = measure_change(reference.cells, cells, fit.slope.value, fit.offset_dn)
     # Without an error: only what exceeds eight of them is counted.
     group.measure("movement", path, Estimate(changed).in_percent(), against=f"to {against}")
@@ -188,7 +188,7 @@ def _check_pair(
 def _measure_black(
     frame: ReducedFrame, reference: ReducedFrame, cells: Cells, fit: RatioFit, ratio: float, group: CheckedGroup
 ) -> None:
-    """Measure what a noisy frame's black is off its stated level, as a share of white once it is amplified."""
+    """Measure how far a noisy frame's black is off its stated level, as a share of white once amplified."""
     share = ratio / reference.cells.range_dn
     off = Estimate(share * fit.black.value, share * fit.black.standard_error)
     stated = mean_levels(frame.sensor)[0]
@@ -203,6 +203,7 @@ def _measure_black(
 
 
 def _compute_exif_ratio(reference: Exposure, noisy: Exposure) -> Fraction | None:
+    """Divide a reference's ISO x time by a noisy frame's; ``None`` if EXIF lacks one."""
     if not (reference.iso and reference.exposure_s and noisy.iso and noisy.exposure_s):
         return None
     return reference.iso * reference.exposure_s / (noisy.iso * noisy.exposure_s)
@@ -239,17 +240,19 @@ def _judge_exif(record: FrameRecord, ratio: Estimate, dial_ratios: list[float]) 
 def _choose_advice(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction | None, noisy: list[FrameRecord]) -> str:
     """Explain a frame whose ratio is not the nominal one."""
     cause = "EXIF does not show it"
-    if exif_ratio is not None and _fits(ratio, exif_ratio):
+    if exif_ratio is not None and _fits_ratio(ratio, exif_ratio):
         cause = "EXIF says the same: taken with another setting, or under another frame's name"
     for other in noisy:
-        if other is not record and other.iso == record.iso and other.ratio and _fits(ratio, other.ratio):
-            return f"{cause}; it fits {file_name(other.path)} (x{_number(other.ratio)}): swapped?"
+        if other is not record and other.iso == record.iso and other.ratio and _fits_ratio(ratio, other.ratio):
+            return f"{cause}; it fits {file_name(other.path)} (x{_format_number(other.ratio)}): swapped?"
     return f"{cause}; {find_kind('ratio').advice}"
 
 
-def _fits(ratio: Estimate, expected: Fraction) -> bool:
+def _fits_ratio(ratio: Estimate, expected: Fraction) -> bool:
+    """Check that a ratio is within the tolerance of the expected one."""
     return abs(ratio.value - float(expected)) <= RATIO_LOOK * float(expected)
 
 
-def _number(value: Fraction) -> str:
+def _format_number(value: Fraction) -> str:
+    """Write a fraction in four digits."""
     return f"{float(value):.4g}"

@@ -101,7 +101,7 @@ def cut_moved_tiles(first: Tiles, image: NDArray[np.float32]) -> tuple[Tiles, Ti
     The window stays where it is when the scene moves, which pulls a shift towards 0 by some percent. So the second
     frame's tiles are cut where the first's have moved to; tiles that leave the frame are left out. ``None`` if all do.
     """
-    place = _whole_pixels(first, _cut_tiles(image, first.starts, first.side))
+    place = _find_whole_shift(first, _cut_tiles(image, first.starts, first.side))
     starts = first.starts + np.array(place)
     inside = np.all((starts >= 0) & (starts + first.side <= np.array(image.shape)), axis=1)
     if not inside.any():
@@ -110,33 +110,33 @@ def cut_moved_tiles(first: Tiles, image: NDArray[np.float32]) -> tuple[Tiles, Ti
     return same, Tiles(_cut_tiles(image, starts[inside], first.side), starts[inside], first.side), place
 
 
-def _frequencies(side: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _list_frequencies(side: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the frequencies of a tile's spectrum along both axes, cycles per packed pixel, to be broadcast."""
     down, right = (frequencies.astype(np.float64) for frequencies in (np.fft.fftfreq(side), np.fft.rfftfreq(side)))
     return down[:, None], right[None, :]
 
 
-def _unshift(down: NDArray[np.float64], right: NDArray[np.float64], side: int) -> Spectra:
-    """Return the factors that undo each tile's shift."""
-    fy, fx = _frequencies(side)
+def _make_unshift_factors(down: NDArray[np.float64], right: NDArray[np.float64], side: int) -> Spectra:
+    """Make the factors that undo each tile's shift, on the spectrum."""
+    fy, fx = _list_frequencies(side)
     turns = down[:, None, None] * fy + right[:, None, None] * fx
     factors: Spectra = np.exp(2j * np.pi * turns)
     return factors
 
 
-def _shift_band(side: int) -> NDArray[np.bool_]:
-    """Return the frequencies that a shift is told by."""
-    fy, fx = _frequencies(side)
+def _choose_frequencies(side: int) -> NDArray[np.bool_]:
+    """Choose the frequencies from which a shift is estimated, as a mask."""
+    fy, fx = _list_frequencies(side)
     radius = np.hypot(fy, fx)
     return (radius * side >= _SHIFT_BAND[0]) & (radius <= _SHIFT_BAND[1])
 
 
-def _whole_pixels(first: Tiles, second: Spectra) -> tuple[int, int]:
-    """Return the peak of the phase correlation of all tiles, in whole pixels within half a tile."""
+def _find_whole_shift(first: Tiles, second: Spectra) -> tuple[int, int]:
+    """Find the shift at the peak of all tiles' phase correlation, in whole pixels within half a tile."""
     import scipy.fft
 
     side = first.side
-    cross = np.where(_shift_band(side), np.conj(first.spectra) * second, 0)
+    cross = np.where(_choose_frequencies(side), np.conj(first.spectra) * second, 0)
     magnitude = np.abs(cross)
     # Well below the mean magnitude a frequency is mostly noise: it counts in proportion instead of fully.
     floor = magnitude.mean(axis=(1, 2), keepdims=True) / 10 + np.finfo(np.float32).tiny
@@ -147,13 +147,13 @@ def _whole_pixels(first: Tiles, second: Spectra) -> tuple[int, int]:
 
 
 def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
-    """Return by how much the second tiles' scene lies below and to the right of the first's, within 1.5 packed pixels.
+    """Measure how far the second tiles' scene lies below and to the right of the first's, within 1.5 packed pixels.
 
     ``None`` if no tile has enough detail. The shift between the frames is that and the pixels between the tiles.
     """
     side = first.side
-    fy, fx = _frequencies(side)
-    band = _shift_band(side)
+    fy, fx = _list_frequencies(side)
+    band = _choose_frequencies(side)
     cross = np.conj(first.spectra).astype(np.complex128) * second.spectra
     down = right = np.zeros(len(cross))
     wave_y, wave_x = (2 * np.pi * np.broadcast_to(axis, band.shape)[band] for axis in (fy, fx))
@@ -161,7 +161,7 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
     twice = np.broadcast_to(np.where((fx == 0) | (fx == 0.5), 1.0, 2.0), band.shape)[band]
     # One round: Im(C exp(2 pi i k d)) is about -Re(...) 2 pi k (d_true - d), linear in what is left of the shift.
     for _ in range(_ROUNDS):
-        turned = (cross * _unshift(down, right, side))[:, band]
+        turned = (cross * _make_unshift_factors(down, right, side))[:, band]
         # Of the real part, noise has the mean 0: the information of a tile without detail is about 0, not above.
         yy, xy, xx = (turned.real @ (twice * product) for product in (wave_y**2, wave_y * wave_x, wave_x**2))
         by, bx = (-(turned.imag @ (twice * wave)) for wave in (wave_y, wave_x))
@@ -172,7 +172,7 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
         right = np.clip(right + (yy * bx - xy * by) / determinant, -_FURTHEST, _FURTHEST)
     before = first.spectra[:, band]
     gain = (turned.real @ twice) / np.maximum(np.abs(before) ** 2 @ twice, 1e-300)  # a tile of one value tells nothing
-    residual = (second.spectra * _unshift(down, right, side))[:, band] - gain[:, None] * before
+    residual = (second.spectra * _make_unshift_factors(down, right, side))[:, band] - gain[:, None] * before
     noise = (np.abs(residual) ** 2 @ twice) / twice.sum() * _HANN_CORRELATION
     regular &= gain > 0
     information = np.where(regular, np.stack([xx, yy]), 1) / np.where(regular, determinant, 1)
@@ -202,6 +202,7 @@ def _combine_tiles(values: NDArray[np.float64], errors: NDArray[np.float64]) -> 
 
 
 def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """Find the value that half of the total weight lies below."""
     order = np.argsort(values)
     summed = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(summed, summed[-1] / 2)])
@@ -220,23 +221,24 @@ def measure_focus(first: Tiles, second: Tiles, shift: Shift, brightness: float) 
         Ratio of the frames' brightness, which is taken off.
     """
     side = first.side
-    fy, fx = _frequencies(side)
+    fy, fx = _list_frequencies(side)
     radius = np.hypot(fy, fx)
     band = (radius >= _FOCUS_BAND[0]) & (radius <= _FOCUS_BAND[1])
     down, right = (np.array([estimate.value]) for estimate in shift)
-    undo = _unshift(down, right, side)[0][band] / brightness
+    undo = _make_unshift_factors(down, right, side)[0][band] / brightness
     before, after = first.spectra[:, band], second.spectra[:, band] * undo
     power_1, power_2 = (np.sum(np.abs(spectra) ** 2, axis=1, dtype=np.float64) for spectra in (before, after))
     cross = np.sum((np.conj(before) * after).real, axis=1, dtype=np.float64)
     if cross.size < 2 or cross.sum() <= 0:
         return None
-    value = float(_contrast((power_1 - power_2).sum(), cross.sum()))
-    left_out = _contrast((power_1 - power_2).sum() - (power_1 - power_2), np.maximum(cross.sum() - cross, 1e-30))
+    value = float(_solve_contrast((power_1 - power_2).sum(), cross.sum()))
+    left_out = _solve_contrast((power_1 - power_2).sum() - (power_1 - power_2), np.maximum(cross.sum() - cross, 1e-30))
     tiles = len(left_out)
     error = np.sqrt((tiles - 1) / tiles * np.sum((left_out - left_out.mean()) ** 2))  # jackknife
     return Estimate(value, float(error))
 
 
-def _contrast(difference: Any, cross: Any) -> Any:
+def _solve_contrast(difference: Any, cross: Any) -> Any:
+    """Solve 1/c - c = difference / cross for the contrast c, second frame over first."""
     quotient = difference / cross
     return (np.sqrt(quotient**2 + 4) - quotient) / 2

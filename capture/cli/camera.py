@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add its options."""
+    """Add the options of `capture camera`."""
     parser.add_argument("camera", metavar="CAMERA", nargs="?", help="a camera description (JSON)")
     add_output(parser, "--example", help="write an example description to FILE")
     add_shared(parser, run, json=True)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run this command."""
+    """Show a camera description, or write an example (`capture camera`)."""
     from capture.camera import EXAMPLE, CameraDescription, camera_as_dict
 
     if (arguments.camera is None) == (arguments.example is None):
@@ -51,6 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _format_camera(camera: CameraDescription) -> str:
+    """Write a camera's name, ISOs, measured speeds, and table of shutter times."""
     from eldata.base.tables import text_table
 
     rows = [(f"{time.dial} s", f"{time.true_s:.6g} s") for time in camera.shutter.times]

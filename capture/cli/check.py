@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add its options."""
+    """Add the options of `capture check`."""
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
     scene = "only this scene, by name or number, and no calibration frames; may be repeated"
     parser.add_argument("--scene", action="append", dest="scenes", default=[], metavar="N", help=scene)
@@ -29,7 +29,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run this command."""
+    """Check the pixels of a set, and print the verdicts (`capture check`)."""
     from capture.check.checking import check
     from capture.check.result import write_sheet
 

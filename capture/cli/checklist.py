@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add its options."""
+    """Add the options of `capture checklist`."""
     parser.add_argument("plan", metavar="PLAN", help="a plan (capture plan)")
     add_output(parser, "-o", "--output", help="write it to FILE; without, md and txt go to the terminal")
     parser.add_argument("--format", choices=FORMATS, help="default: by the suffix of FILE; without FILE txt")
@@ -30,7 +30,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run this command."""
+    """Write the checklist of a plan (`capture checklist`)."""
     from capture.plan import Plan
 
     form = _choose_format(arguments)
@@ -45,6 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _choose_format(arguments: argparse.Namespace) -> str:
+    """Choose the checklist's format, from the option or the output's suffix."""
     output = arguments.output
     if output is None:
         if arguments.format == "html":

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add its options."""
+    """Add the options of `capture manifest`."""
     add_plan(parser)
     parser.add_argument("files", metavar="FILES", nargs="+", help="the camera's raw files, or folders of them")
     add_output(
@@ -64,13 +64,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _read_table_name(text: str) -> str:
+    """Read a name that ends in ``.csv``."""
     if not text.endswith(".csv"):
         raise argparse.ArgumentTypeError(f"expected a name that ends in .csv, found {text!r}")
     return text
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run this command."""
+    """Match files to a plan, and write the dataset and its manifest (`capture manifest`)."""
     from capture.mapping import compare_apertures, explain_metering, load_mapping, mapping_as_dict
     from capture.matching import match
     from capture.observed import find_raw_files, observe
@@ -85,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     if existing is not None:
         observed = observed.without_copies(existing.records, workers)
         if lacking is None or not observed.frames:
-            return _nothing_to_add(observed, output, complete=lacking is None)
+            return _explain_no_addition(observed, output, complete=lacking is None)
         there = len(plan.shots) - len(lacking.shots)
         if there:
             print(f"{output}: has {there} of the plan's {len(plan.shots)} shots; the others are:\n")
@@ -105,9 +106,9 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"\n{len(matched.missing)} of {len(part.shots)} shots have no file. Take them again, or accept the gaps")
         print("with --allow-gaps; --only names the scenes to begin with.")
         accepting = "--allow-gaps" if arguments.yes else "--allow-gaps --yes"
-        return _leave_mapping(output, mapping_as_dict(part, observed, matched), accepting)
+        return _write_mapping(output, mapping_as_dict(part, observed, matched), accepting)
     if matched.doubtful and arguments.mapping is None and not arguments.yes and not _confirm():
-        return _leave_mapping(output, mapping_as_dict(part, observed, matched), "--yes")
+        return _write_mapping(output, mapping_as_dict(part, observed, matched), "--yes")
     _write_set(plan, matched, existing, arguments, workers)
     return OK
 
@@ -124,7 +125,7 @@ def _load_existing(arguments: argparse.Namespace) -> ExistingSet | None:
     return ExistingSet.load(Path(arguments.output), Path(place).absolute())
 
 
-def _nothing_to_add(observed: Observed, output: Path, *, complete: bool) -> int:
+def _explain_no_addition(observed: Observed, output: Path, *, complete: bool) -> int:
     """Say why no file joins the set: the files are there already, or the plan's shots are."""
     new = len(observed.frames)
     print(f"{output}: {len(observed.copies)} of the files given are in the set already, or copies; {new} are not")
@@ -145,7 +146,7 @@ def _confirm() -> bool:
         return False
 
 
-def _leave_mapping(output: Path, mapping: dict[str, Any], accepting: str) -> int:
+def _write_mapping(output: Path, mapping: dict[str, Any], accepting: str) -> int:
     """Write the mapping for a person to edit, unless one that may be edited is there.
 
     ``accepting`` are the options with which this command would take it as it is.
@@ -166,6 +167,7 @@ def _leave_mapping(output: Path, mapping: dict[str, Any], accepting: str) -> int
 def _write_set(
     plan: Plan, matched: Match, existing: ExistingSet | None, arguments: argparse.Namespace, workers: Workers
 ) -> None:
+    """Place the matched files, write manifest and card, and print the next command."""
     from capture.manifest import make_card, make_dataset, place_files
     from eldata.manifest.catalogue import refuse_others, save_manifest
 

@@ -38,7 +38,7 @@ _SCENES_END = 1_000_000  # scene-999999 is the last that a plan may have
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add its options."""
+    """Add the options of `capture plan`."""
     whole = whole_number(1)
     parser.add_argument("plan", metavar="PLAN", nargs="?", help="a plan to show or to change in place")
     add = parser.add_argument_group("a new plan").add_argument
@@ -119,7 +119,7 @@ def read_scene_numbers(text: str) -> range:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run this command."""
+    """Make a plan, or change one, and print it (`capture plan`)."""
     from capture.plan import Plan
 
     if arguments.plan is None:
@@ -141,6 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _make_plan(arguments: argparse.Namespace) -> Plan:
+    """Make a new plan from the camera's file and the command's options."""
     from capture.camera import CameraDescription
     from capture.plan import make_plan
 
@@ -159,6 +160,7 @@ def _make_plan(arguments: argparse.Namespace) -> Plan:
 
 
 def _read_metered_times(arguments: argparse.Namespace) -> dict[str, Fraction]:
+    """Read the metered time of each scene, in seconds by its name."""
     if arguments.scenes is None and arguments.calibration and not arguments.metered:
         return {}  # calibration frames alone
     if arguments.scenes is None:
@@ -204,6 +206,7 @@ def _plan_calibration(
 
 
 def _change_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
+    """Add scenes, times, apertures, notes and calibration frames to a plan, as the options say."""
     for name, time in arguments.add_scene:
         plan = plan.add_scene(name, time)
     for name, time in arguments.remeter:
@@ -255,7 +258,7 @@ def format_plan(plan: Plan) -> str:
 def _format_shots(shots: Sequence[Shot]) -> str:
     """Format the table of shots, a line for each row of the checklist, without the columns that none of them has."""
 
-    def cell(value: object, form: str = "{}") -> str:
+    def format_cell(value: object, form: str = "{}") -> str:
         return "-" if value is None else form.format(value)
 
     rows = []
@@ -265,18 +268,18 @@ def _format_shots(shots: Sequence[Shot]) -> str:
         cells = {
             "frame": row.numbers,
             "role": f"{shot.series} {shot.role}".lstrip(),
-            "ISO": cell(shot.iso),
-            "true ISO": cell(shot.true_iso and float(shot.true_iso), "{:g}"),
-            "level": cell(shot.level and float(100 * shot.level), "{:.0f} %"),
-            "factor": cell(shot.factor, "x{}"),
+            "ISO": format_cell(shot.iso),
+            "true ISO": format_cell(shot.true_iso and float(shot.true_iso), "{:g}"),
+            "level": format_cell(shot.level and float(100 * shot.level), "{:.0f} %"),
+            "factor": format_cell(shot.factor, "x{}"),
             "asked": f"{shot.target_s} s",
             "set": f"{shot.setting.dial} s",
             "gives": f"{shot.setting.true_s:.4g} s",
-            "ratio": cell(true, "{:.2f}"),
-            "EXIF": cell(named, "{:.2f}"),
-            "error": cell(error and 100 * (float(error) - 1), "{:+.1f} %"),
-            "stops": cell(error and error.log2, "{:+.3f}"),
-            "reference": cell(shot.reference),
+            "ratio": format_cell(true, "{:.2f}"),
+            "EXIF": format_cell(named, "{:.2f}"),
+            "error": format_cell(error and 100 * (float(error) - 1), "{:+.1f} %"),
+            "stops": format_cell(error and error.log2, "{:+.3f}"),
+            "reference": format_cell(shot.reference),
         }
         rows.append(cells)
     names = [name for name in rows[0] if any(cells[name] != "-" for cells in rows)]

@@ -36,14 +36,14 @@ _NEXT_LINE = "\n    "
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add its options."""
+    """Add the options of `capture script`."""
     add_plan(parser)
     add_output(parser, "-o", "--output", required=True, help="the script; frames go into folders beside it")
     add_shared(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run this command."""
+    """Write the shell script that takes a plan's shots (`capture script`)."""
     plan, path = load_plan(arguments), Path(arguments.output)
     write_text(path, gphoto_script(plan, Path(arguments.plan).name))
     mode = path.stat().st_mode
@@ -94,6 +94,7 @@ def _split_time(time: ShutterTime) -> list[str]:
 
 
 def _list_scene_words(plan: Plan, scene: ScenePlan) -> Iterator[str]:
+    """List a scene's metered time, aperture, remarks and notes."""
     yield f"Metered at {scene.metered_s} s, ISO {plan.protocol.base_iso}"
     if scene.aperture is not None:
         yield f"Aperture {format_f_number(scene.aperture)}"

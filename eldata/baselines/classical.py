@@ -78,7 +78,7 @@ def noise_of_parameters(parameters: NoiseParameters, *, ratio: float, range_dn: 
 
 
 def noise_of_image(image: Values) -> SignalNoise:
-    """Estimate it from a frame itself (:func:`eldata.baselines.noise_line.noise_line`), without row noise.
+    """Estimate the noise line from a frame itself (:func:`eldata.baselines.noise_line.noise_line`), without row noise.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def invert_anscombe(values: Values, line: SignalNoise) -> Values:
 
 @lru_cache(maxsize=16)
 def _tabulate_means(sigma: float) -> tuple[Values, Values]:
-    """Return expected counts, ascending from 0, and E[f] of each, for a = 1."""
+    """Tabulate expected counts, ascending from 0, and the mean of their transform, E[f], for a = 1."""
     signals = np.concatenate([[0.0], np.geomspace(1e-3, _LARGEST, _POINTS)])
     # f has a kink where it becomes 0, at which quadratures of higher order would be no better than this even grid.
     nodes = np.linspace(-_REACH, _REACH, _NODES)
@@ -230,7 +230,7 @@ def decorrelation(channels: int) -> Values:
 
 
 def threshold_dct(image: Values, line: SignalNoise) -> NDArray[np.float32]:
-    """Return a denoised copy.
+    """Denoise a frame by thresholding the DCT of overlapping windows.
 
     Parameters
     ----------
@@ -245,17 +245,19 @@ def threshold_dct(image: Values, line: SignalNoise) -> NDArray[np.float32]:
     # Brightness decides the noise of all channels: they are sums of the same pixels.
     brightness = _cut_windows(padded[0]).mean(axis=(-2, -1)) / np.float32(len(image) ** 0.5)
     sigma = np.sqrt(line.variance(brightness)).astype(np.float32)
-    result = np.stack([_threshold(channel, sigma) for channel in padded])
+    result = np.stack([_threshold_channel(channel, sigma) for channel in padded])
     result = result[:, _SIZE:-_SIZE, _SIZE:-_SIZE]
     return np.tensordot(matrix.T, result, axes=1).astype(np.float32)
 
 
 def _cut_windows(channel: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Cut a channel (h, w) into overlapping square windows, (rows, columns, side, side)."""
     view = np.lib.stride_tricks.sliding_window_view(channel, (_SIZE, _SIZE))
     return np.ascontiguousarray(view[::_STEP, ::_STEP])
 
 
-def _threshold(channel: NDArray[np.float32], sigma: NDArray[np.float32]) -> NDArray[np.float32]:
+def _threshold_channel(channel: NDArray[np.float32], sigma: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Denoise a channel (h, w): drop the DCT coefficients of each window below a multiple of its ``sigma``."""
     coefficients = dctn(_cut_windows(channel), axes=(-2, -1), norm="ortho")
     keep = np.abs(coefficients) > _THRESHOLD * sigma[..., None, None]
     keep[..., 0, 0] = True
@@ -314,7 +316,7 @@ class Baseline:
         return self.function(image, line)
 
     def versions(self) -> dict[str, str]:
-        """Name what decides its predictions: the version of the package that it needs, the hash of its weights.
+        """List the versions that decide its predictions: of the package that it needs, or the hash of its weights.
 
         Raises
         ------
@@ -332,6 +334,7 @@ class Baseline:
 
 
 def _import_bm3d() -> Any:
+    """Import BM3D, or refuse with the command that installs it."""
     try:
         return import_module("bm3d")
     except ImportError as error:
@@ -340,17 +343,18 @@ def _import_bm3d() -> Any:
         ) from error
 
 
-def _bm3d(image: Values, line: SignalNoise) -> Values:
+def _run_bm3d(image: Values, line: SignalNoise) -> Values:
     """Denoise with one standard deviation for the whole frame, the root of its mean variance, as the method assumes."""
     deviation = float(np.sqrt(np.mean(line.variance(image))))
-    return _bm3d_of_white(image / deviation) * deviation
+    return _run_bm3d_on_white(image / deviation) * deviation
 
 
 def _anscombe_bm3d(image: Values, line: SignalNoise) -> Values:
-    return invert_anscombe(_bm3d_of_white(apply_anscombe(image, line)), line)
+    """Denoise by BM3D after a variance-stabilising transform."""
+    return invert_anscombe(_run_bm3d_on_white(apply_anscombe(image, line)), line)
 
 
-def _bm3d_of_white(image: Values) -> Values:
+def _run_bm3d_on_white(image: Values) -> Values:
     """Denoise brightness and differences of colour, in which white noise stays white."""
     bm3d, matrix = _import_bm3d(), decorrelation(len(image))
     last = np.ascontiguousarray(np.moveaxis(np.tensordot(matrix, image, axes=1), 0, -1), dtype=np.float64)
@@ -360,7 +364,8 @@ def _bm3d_of_white(image: Values) -> Values:
     return np.asarray(np.tensordot(matrix.T, denoised, axes=1))
 
 
-def _network(image: Values, line: SignalNoise) -> Values:
+def _run_network(image: Values, line: SignalNoise) -> Values:
+    """Denoise by the network that ships."""
     from eldata.baselines.unet import remove_noise
 
     return remove_noise(image, line.slope, line.offset, line.black)
@@ -370,11 +375,11 @@ BASELINES: Mapping[str, Baseline] = MappingProxyType(
     {
         "input": Baseline("the noisy input, amplified, nothing else", lambda image, _: image, uses_noise=False),
         "dct": Baseline("sliding-window DCT thresholding", threshold_dct),
-        "bm3d": Baseline("BM3D with one noise level for the frame", _bm3d, needs_bm3d=True),
+        "bm3d": Baseline("BM3D with one noise level for the frame", _run_bm3d, needs_bm3d=True),
         "anscombe-bm3d": Baseline(
             "BM3D of stabilised values, exact unbiased inverse (A-BM3D)", _anscombe_bm3d, needs_bm3d=True
         ),
-        "network": Baseline("the network that ships, told the noise", _network, has_weights=True),
+        "network": Baseline("the network that ships, told the noise", _run_network, has_weights=True),
     }
 )
 """The denoisers that need no training of yours, by the names that ``eldata baseline`` and ``--baseline`` take."""

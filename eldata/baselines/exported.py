@@ -93,7 +93,7 @@ def save_network(
 
 
 def load_exported(path: Path) -> tuple[Any, TakenInput]:
-    """Return the module of a file of ``torch.export.save``, and what :func:`save_network` has recorded in it.
+    """Load a module of ``torch.export.save``, and the record that :func:`save_network` left in its file.
 
     Raises
     ------
@@ -111,6 +111,7 @@ def load_exported(path: Path) -> tuple[Any, TakenInput]:
 
 
 def _read_record(path: Path, content: str | bytes) -> TakenInput:
+    """Read the window, size multiple and clip range that :func:`save_network` has recorded."""
     content = content.encode() if isinstance(content, str) else content
     record = TextFile(f"{path}, {_RECORD}", EldataError, "export it again with save_network", content).json()
     record.schema(_SCHEMA)
@@ -130,5 +131,5 @@ def checked_window(window: int) -> int:
 
 
 def first_line(error: BaseException) -> str:
-    """Return the beginning of what an error says, or what it is."""
+    """Take the first line of an error's message, 200 characters at most; its type if it has none."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]

@@ -193,7 +193,7 @@ def load_network(
     if is_code:
         module = _import_network(model, weights)
         identity = {"denoiser": model}
-        run = _TorchRun(_prepare(module, where), where, precision)
+        run = _TorchRun(_prepare_module(module, where), where, precision)
         if isinstance(module, torch.nn.Module):
             identity["weights_sha256"] = _digest_of(module)
             taken = TakenInput(_read_attribute(module, "window"), _read_attribute(module, "multiple"))
@@ -213,7 +213,7 @@ def load_network(
             run = _OnnxRun(_open_onnx(path, where))
         else:
             module, taken = load_exported(path) if path.suffix == ".pt2" else (_load_script(path), taken)
-            run = _TorchRun(_prepare(module, where), where, precision)
+            run = _TorchRun(_prepare_module(module, where), where, precision)
     frames, sides = _choose_sizes(model, taken, window, multiple)
     return NetworkDenoiser(run, identity, tile, overlap, sides, precision, frames, taken.clip, is_code)
 
@@ -247,7 +247,8 @@ def _choose_sizes(model: str, taken: TakenInput, window: int | None, multiple: i
     raise ArgumentError(f"{model} takes {what}, by its own account; found {option}: leave it out")
 
 
-def _prepare(function: Any, device: str) -> Callable[..., Any]:
+def _prepare_module(function: Any, device: str) -> Callable[..., Any]:
+    """Move a torch module to the device, in evaluation mode; any other function stays as it is."""
     import torch
 
     if isinstance(function, torch.nn.Module):
@@ -259,6 +260,7 @@ def _prepare(function: Any, device: str) -> Callable[..., Any]:
 
 
 def _load_script(path: Path) -> Any:
+    """Load a TorchScript file on the CPU."""
     import torch
 
     with warnings.catch_warnings():
@@ -274,6 +276,7 @@ def _load_script(path: Path) -> Any:
 
 
 def _open_onnx(path: Path, device: str) -> Any:
+    """Open an ONNX file with ONNX Runtime; the network must have one input."""
     try:
         import onnxruntime
     except ImportError as error:
@@ -294,6 +297,7 @@ def _open_onnx(path: Path, device: str) -> Any:
 
 
 def _import_network(place: str, weights: Path | str | None) -> Any:
+    """Import ``package.module:name``, a network or its maker, and load weights into it."""
     import torch
 
     target = named_object(place)
@@ -330,6 +334,7 @@ def _is_maker(place: str, target: Any) -> bool:
 
 
 def _load_weights(module: Any, path: Path) -> None:
+    """Load a file of weights (safetensors, or a checkpoint of torch) into a module."""
     import torch
     from safetensors.torch import load_file
 
@@ -355,6 +360,7 @@ def _load_weights(module: Any, path: Path) -> None:
 
 
 def _describe_failure(image: NDArray[np.float32], error: Exception) -> str:
+    """Say in one line why a network failed on an image."""
     # TorchScript says what happened in the last line of a traceback of its own.
     is_trace = "TorchScript interpreter" in first_line(error)
     reason = str(error).strip().splitlines()[-1] if is_trace else first_line(error)

@@ -65,7 +65,7 @@ class NoiseLine:
     least_variance: float
 
     def variance(self, signal: Values) -> Values:
-        """Return the variance at some signals."""
+        """Compute the variance at some signals."""
         # A line fitted to bright parts alone may cross 0 before black.
         return np.asarray(np.maximum(self.offset + max(self.slope, 0.0) * signal, self.least_variance / 4))
 
@@ -127,19 +127,20 @@ class _Windows:
 
     @classmethod
     def of(cls, packed: Values) -> _Windows:
+        """Measure the windows of a packed frame, (C, h, w)."""
         from scipy.fft import dctn
 
         channels, rows, columns = len(packed), packed.shape[1] // WINDOW, packed.shape[2] // WINDOW
         if rows < 2 or not columns:
             raise DatasetError(f"a frame of {packed.shape} is too small to show its noise")
 
-        def cut(channel: NDArray[Any]) -> NDArray[Any]:
+        def cut_windows(channel: NDArray[Any]) -> NDArray[Any]:
             whole = channel[: rows * WINDOW, : columns * WINDOW]
             return whole.reshape(rows, WINDOW, columns, WINDOW).swapaxes(1, 2)
 
         mean, highest, middle = (np.empty((channels, rows, columns)) for _ in range(3))
         for index, channel in enumerate(packed):
-            squares = dctn(cut(channel.astype(np.float64)), axes=(-2, -1), norm="ortho")
+            squares = dctn(cut_windows(channel.astype(np.float64)), axes=(-2, -1), norm="ortho")
             mean[index] = squares[..., 0, 0] / WINDOW
             np.square(squares, out=squares)
             highest[index] = squares[..., _HIGHEST].mean(axis=-1)
@@ -159,7 +160,7 @@ class _Windows:
         return np.asarray(np.broadcast_to(share, self.mean.shape))
 
     def first_line(self) -> NoiseLine:
-        """Return a line through the lowest tenths of each group, which texture reaches last."""
+        """Fit a line through the lowest tenths of each group, which texture reaches last."""
         from scipy.stats import chi2
 
         count = np.count_nonzero(_HIGHEST)

@@ -98,12 +98,13 @@ class NoisyFrames:
     _read: dict[str, NoisyFrame] = field(default_factory=dict, init=False)
 
     def frame(self, path: str) -> NoisyFrame:
-        """Return a frame as a denoiser gets it."""
+        """Read a frame as a denoiser gets it."""
         if path not in self._read:
             self._read[path] = self._read_frame(path)
         return self._read[path]
 
     def _read_frame(self, path: str) -> NoisyFrame:
+        """Read a noisy frame, normalised and amplified as its protocol states."""
         pair, protocol, source = self.pair, self.protocol, Files(self.dataset)
         shading = None if self.dark_shading is None else dark_shading_in(self.dark_shading)
         opener = PairOpener(source, protocol.levels, protocol.amplification, shading)
@@ -111,7 +112,7 @@ class NoisyFrames:
         reference = pair.reference_of(path) if noisy.sensor is not None else None
         target = source.outline(reference, noisy, protocol.levels) if reference else None
         opened = opener.open_pair(pair, target, path, noisy)
-        image, near = opened.input.normalise(self.clip_range, opened.gain), partial(self._window, path)
+        image, near = opened.input.normalise(self.clip_range, opened.gain), partial(self._read_window, path)
         iso = float(pair.iso or noisy.exposure.iso or 0) or None
         if noisy.sensor is not None and protocol.input_space == "srgb":
             image = (render_to_8_bits(image, noisy.sensor, response=protocol.curve) / 255.0).astype(np.float32)
@@ -120,7 +121,8 @@ class NoisyFrames:
             return NoisyFrame(image, 1.0, math.nan, pair, path, None, near)
         return NoisyFrame(image, opened.gain, opened.input.range_dn, pair, path, iso, near, shading is not None)
 
-    def _window(self, path: str, length: int) -> Values:
+    def _read_window(self, path: str, length: int) -> Values:
+        """Read the ``length`` frames around one of a clip, (length, C, h, w)."""
         if self.clip is None:
             raise DatasetError(f"{path}: is a photograph alone; a window of {length} frames needs a clip")
         frames = [self.frame(name).image for name in mirrored_window(self.clip, path, length)]

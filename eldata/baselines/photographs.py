@@ -83,13 +83,13 @@ def denoise(
     >>> denoise(noisy, CameraProfile.load("SonyA7S2"), ratio=100.0).shape  # one's own camera's
     (4, 256, 384)
     """
-    return _denoise(frame, profile, method, ratio, levels)[1]
+    return _denoise_packed(frame, profile, method, ratio, levels)[1]
 
 
-def _denoise(
+def _denoise_packed(
     frame: RawFrame, profile: CameraProfile | None, method: str, ratio: float, levels: FrameLevels
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], SignalNoise | None, str]:
-    """Return a frame packed and amplified, without its noise, the noise, and where that is known from."""
+    """Denoise a frame; return it packed and amplified, the result, its noise line, and the source of that line."""
     noisy, noise, known_from = Frame.of_decoded(frame).with_levels(levels), None, "known to the network alone"
     checked_number("ratio", ratio, above=0)
     if method not in METHODS:
@@ -113,7 +113,7 @@ def _denoise(
 
 
 def _load_network(model: str) -> NetworkDenoiser:
-    """Load a network of the user's, of single frames."""
+    """Load a user's network of single frames."""
     if ":" not in model and not Path(model).suffix:
         raise ArgumentError(
             f"no denoiser is called {model!r}; known are {', '.join(METHODS)}, a model's file, and package.module:name"
@@ -179,7 +179,7 @@ def denoise_file(
     """
     path, header, frame = Path(out), read_header(source), read_raw(source)
     frame.whole_dn("a DNG")
-    image, cleaned, noise, known_from = _denoise(frame, profile, method, ratio, "metadata")
+    image, cleaned, noise, known_from = _denoise_packed(frame, profile, method, ratio, "metadata")
     if cleaned.shape != image.shape or not np.isfinite(cleaned).all():
         raise DatasetError(f"{source}: {method} made {cleaned.shape} of {image.shape}, or values that are not finite")
     if picture is not None:
@@ -194,7 +194,7 @@ def denoise_file(
         orientation=frame.orientation,
         software=f"eldata {__version__} denoise, {Path(method).name}{amplified}",
     )
-    return DenoisedFile(path, known_from, (*frame.remarks, *_range_remarks(method, image, noise)))
+    return DenoisedFile(path, known_from, (*frame.remarks, *_remark_on_noise(method, image, noise)))
 
 
 def _round_to_dn(frame: RawFrame, cleaned: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -217,7 +217,8 @@ def _round_to_dn(frame: RawFrame, cleaned: NDArray[np.float32]) -> NDArray[np.ui
     return mosaic
 
 
-def _range_remarks(method: str, image: NDArray[np.float32], noise: SignalNoise | None) -> tuple[str, ...]:
+def _remark_on_noise(method: str, image: NDArray[np.float32], noise: SignalNoise | None) -> tuple[str, ...]:
+    """Remark on noise outside of the range for which the network was trained."""
     if method != "network" or noise is None:
         return ()
     noise_db = -10 * float(np.log10(np.mean(noise.variance(np.clip(image, 0.0, 1.0)))))

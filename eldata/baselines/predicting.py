@@ -109,7 +109,7 @@ class BaselineDenoiser:
             )
 
     def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:  # noqa: ARG002 # any
-        """Return its name, the versions of what it needs, and where the noise is known from.
+        """Return its name, the versions of its package or weights, and the source of the noise.
 
         Raises
         ------
@@ -133,9 +133,10 @@ class BaselineDenoiser:
     def __call__(self, frame: NoisyFrame) -> Values:
         """Return its estimate of the signal."""
         baseline = BASELINES[self.name]
-        return baseline.denoise(frame.image, self._line(frame) if baseline.uses_noise else None)
+        return baseline.denoise(frame.image, self._find_noise(frame) if baseline.uses_noise else None)
 
-    def _line(self, frame: NoisyFrame) -> SignalNoise:
+    def _find_noise(self, frame: NoisyFrame) -> SignalNoise:
+        """Find a frame's noise: from its patches, the frame itself or a camera's profile, as chosen."""
         if self.noise is not None:
             return noise_of_patches(frame.image)
         if not self.profiles:
@@ -254,12 +255,12 @@ def write_predictions(
         **({name: in_words(name, getattr(chosen, name)) for name in _OF_SRGB} if chosen.pixels == "srgb" else {}),
     }
     with begin_folder(folder, settings):
-        every = [_prediction_file(folder, pair, path) for pair in pairs for path in pair.frames]
+        every = [_name_prediction(folder, pair, path) for pair in pairs for path in pair.frames]
         for place in sorted({file.parent for file in every}):
             if place.is_dir():
                 remove_leftovers(place)
         units = _plan_units(request, pairs, folder)
-        missing = [_prediction_file(folder, unit.pair, path) for unit in units for path in unit.missing]
+        missing = [_name_prediction(folder, unit.pair, path) for unit in units for path in unit.missing]
         work = _Prediction(denoiser, request.files, folder, chosen, wanted_clip, dtype, request.dark_shading)
         what = "frame" if request.kind is IMAGES else "clip"
         outcomes = request.workers.attempt(work, units, label="denoising", unit=what)
@@ -295,13 +296,14 @@ def _plan_units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_
         clips = {clip.scene: clip for clip in clips_of(rows)}
     units = []
     for pair in pairs:
-        missing = tuple(path for path in pair.frames if not _prediction_file(folder, pair, path).exists())
+        missing = tuple(path for path in pair.frames if not _name_prediction(folder, pair, path).exists())
         if missing:
             units.append(_Unit(pair, missing, clips.get(pair.scene)))
     return units
 
 
-def _prediction_file(folder: Path, pair: Pair, path: str) -> Path:
+def _name_prediction(folder: Path, pair: Pair, path: str) -> Path:
+    """Name the ``.npy`` file of a frame's prediction."""
     return folder / f"{stem_of(pair.place(path))}.npy"
 
 

@@ -55,7 +55,7 @@ def begin_folder(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
 
 
 def _is_other_work(file: Path, settings: dict[str, Any]) -> bool:
-    """Check whether other work, which nobody does now, began the folder without a prediction; raise if it has some."""
+    """Check whether other work, abandoned without a prediction, began the folder; refuse if it has predictions."""
     stated = dict(TextFile(file, EldataError, "remove the folder to start again").json().data)
     given = settings.get(ANSWERS)
     is_same = is_alike(stated.get(ANSWERS), given, settings.get("precision"))
@@ -74,7 +74,7 @@ def _is_other_work(file: Path, settings: dict[str, Any]) -> bool:
 
 @contextmanager
 def _lock_folder(folder: Path) -> Iterator[None]:
-    """Wait until no other process decides here; at once where folders cannot be locked."""
+    """Lock the folder while a process decides about it; do nothing where folders cannot be locked."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except PermissionError:  # Windows does not open folders

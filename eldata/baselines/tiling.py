@@ -66,7 +66,7 @@ def tiled(
             f"{overlap}"
         )
     _, height, width = image.shape
-    whole = _extend(image, multiple)
+    whole = _extend_image(image, multiple)
     if not tile or (whole.shape[1] <= tile and whole.shape[2] <= tile):
         return np.ascontiguousarray(_check_size(function(whole), whole)[:, :height, :width], dtype=np.float32)
     rows, columns = (_place_tiles(length, min(tile, length), overlap) for length in whole.shape[1:])
@@ -85,7 +85,8 @@ def tiled(
     return np.ascontiguousarray(total[:, :height, :width])
 
 
-def _extend(image: NDArray[np.float32], multiple: int) -> NDArray[np.float32]:
+def _extend_image(image: NDArray[np.float32], multiple: int) -> NDArray[np.float32]:
+    """Mirror an image (C, h, w) at its lower and right edge, up to multiples of ``multiple`` pixels."""
     height, width = image.shape[1:]
     below, right = -height % multiple, -width % multiple
     if max(below - height, right - width) >= 0:
@@ -94,6 +95,7 @@ def _extend(image: NDArray[np.float32], multiple: int) -> NDArray[np.float32]:
 
 
 def _check_size(made: Values, given: Values) -> Values:
+    """Refuse a denoised image of another height or width than its input."""
     if made.ndim != 3 or made.shape[1:] != given.shape[1:]:
         raise ArgumentError(
             f"of an image of {given.shape} it made {made.shape}; a denoiser keeps height and width. If it halves its "

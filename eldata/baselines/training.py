@@ -330,6 +330,7 @@ class Training:
         self._loss_sum.copy_(mine["loss_sum"])
 
     def _train_on(self, batch: Mapping[str, Any]) -> None:
+        """Take one optimiser step on a batch."""
         moved = {
             name: value.to(self.device, non_blocking=True) if isinstance(value, torch.Tensor) else value
             for name, value in batch.items()
@@ -347,6 +348,7 @@ class Training:
         self.step += 1
 
     def _report(self, epoch: int, done: int, first: int, seconds: float, waited: float) -> EpochReport:
+        """Make the report of an epoch so far: mean loss over all ranks, learning rate, speed."""
         total = self._loss_sum.clone()
         if self._rank.of > 1:
             distributed.all_reduce(total)
@@ -358,6 +360,7 @@ class Training:
         )
 
     def _check_finite(self, loss: torch.Tensor) -> None:
+        """Stop the training if the loss is not finite."""
         if not math.isfinite(loss.item()):
             raise EldataError(
                 f"the loss is not finite at step {self.step}; take a lower learning rate than "

@@ -86,17 +86,17 @@ class UNet(nn.Module):
         self.channels, self.width, self.depth, self.window = channels, width, depth, frames
         widths = [width << level for level in range(depth + 1)]
         self.down = nn.ModuleList(
-            _two_convolutions(before, after)
+            _make_convolutions(before, after)
             for before, after in zip([taken, *widths], widths)  # noqa: B905
         )
         self.up = nn.ModuleList(nn.ConvTranspose2d(2 * one, one, 2, stride=2) for one in widths[-2::-1])
-        self.merge = nn.ModuleList(_two_convolutions(2 * one, one) for one in widths[-2::-1])
+        self.merge = nn.ModuleList(_make_convolutions(2 * one, one) for one in widths[-2::-1])
         self.last = nn.Conv2d(width, channels, 1)
         draw_weights(self, seed, last=(self.last,))
 
     @property
     def multiple(self) -> int:
-        """What heights and widths are multiples of."""
+        """Number by which height and width must be divisible."""
         return 1 << self.depth
 
     def forward(self, noisy: torch.Tensor) -> torch.Tensor:
@@ -129,7 +129,8 @@ def draw_weights(network: nn.Module, seed: int, *, last: Collection[nn.Module] =
                     layer.bias.zero_()
 
 
-def _two_convolutions(before: int, after: int) -> nn.Sequential:
+def _make_convolutions(before: int, after: int) -> nn.Sequential:
+    """Make two 3 x 3 convolutions, each with a leaky ReLU."""
     return nn.Sequential(
         nn.Conv2d(before, after, 3, padding=1),
         nn.LeakyReLU(LEAK),
@@ -173,7 +174,7 @@ _REACH = 5  # of the mean that is taken off, in pixels of the halved image
 
 
 def stabilise(noisy: torch.Tensor, slope: torch.Tensor, offset: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the transform of images, 0 at black, and the root of the variance that it has there.
+    """Transform images to noise of standard deviation 1, 0 at black; return also the root of the variance there.
 
     Parameters
     ----------
@@ -188,7 +189,7 @@ def stabilise(noisy: torch.Tensor, slope: torch.Tensor, offset: torch.Tensor) ->
 
 
 def undo(values: torch.Tensor, slope: torch.Tensor, black: torch.Tensor) -> torch.Tensor:
-    """Return the images whose transforms these are: of values below black a line, above it the root's square."""
+    """Transform stabilised values back: a line below black, a square above it."""
     return values * black + 0.25 * slope * values.clamp(min=0) ** 2
 
 
@@ -219,11 +220,11 @@ class NoiseAwareUNet(nn.Module):
         super().__init__()
         self.multiple = 2 ** len(widths)
         self.first = nn.Conv2d(22, widths[0], 3, padding=1)
-        self.blocks = nn.ModuleList(_blocks(width, count) for width, count in zip(widths, blocks, strict=True))
+        self.blocks = nn.ModuleList(_make_blocks(width, count) for width, count in zip(widths, blocks, strict=True))
         self.halved = nn.ModuleList(nn.Conv2d(wide, deep, 2, stride=2) for wide, deep in pairwise(widths))
         self.doubled = nn.ModuleList(nn.ConvTranspose2d(deep, wide, 2, stride=2) for wide, deep in pairwise(widths))
         self.blocks_up = nn.ModuleList(
-            _blocks(width, count) for width, count in zip(widths[:-1], blocks[:-1], strict=True)
+            _make_blocks(width, count) for width, count in zip(widths[:-1], blocks[:-1], strict=True)
         )
         self.last = nn.Conv2d(widths[0], 16, 3, padding=1)
         draw_weights(self, seed)
@@ -260,7 +261,7 @@ class NoiseAwareUNet(nn.Module):
             return undo(values - nn.functional.pixel_shuffle(off, 2), slope, black)
 
     def _estimate_noise(self, inputs: torch.Tensor) -> torch.Tensor:
-        """Return the 16 sums and differences of what transformed values are off by."""
+        """Estimate the noise of transformed values, (N, 16, h, w), as sums and differences of pixels."""
         x, above = self.first(inputs), []
         for blocks, halve in zip(self.blocks, self.halved, strict=False):
             above.append(blocks(x))
@@ -280,16 +281,18 @@ class _Block(nn.Module):
         self.first, self.second = (nn.Conv2d(width, width, 3, padding=1) for _ in range(2))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Add the output of two convolutions to features (N, C, h, w)."""
         added: torch.Tensor = x + self.second(nn.functional.leaky_relu(self.first(x), LEAK))
         return added
 
 
-def _blocks(width: int, count: int) -> nn.Sequential:
+def _make_blocks(width: int, count: int) -> nn.Sequential:
+    """Make a sequence of residual blocks."""
     return nn.Sequential(*(_Block(width) for _ in range(count)))
 
 
 def remove_noise(image: Values, slope: float, offset: float, black: tuple[float, ...]) -> NDArray[np.float32]:
-    """Return the estimate of the network that ships, on a GPU if torch sees one.
+    """Denoise an image by the network that ships, on a GPU if torch sees one.
 
     Parameters
     ----------
@@ -310,19 +313,21 @@ def remove_noise(image: Values, slope: float, offset: float, black: tuple[float,
             f"the network takes packed Bayer frames of 4 channels; found {len(image)}: take dct or anscombe-bm3d"
         )
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    network, (slopes, offsets) = _network(device), torch.tensor([[slope], [offset]], device=device)
+    network, (slopes, offsets) = _load_network(device), torch.tensor([[slope], [offset]], device=device)
 
-    def run(part: NDArray[np.float32]) -> Values:
+    def run_tile(part: NDArray[np.float32]) -> Values:
+        """Denoise a tile."""
         with torch.inference_mode():
             made = network(torch.from_numpy(part)[None].to(device), slopes, offsets)
         return np.asarray(made[0].cpu().numpy())
 
     taken = image - np.array(black or (0.0,) * len(image))[:, None, None]
-    return tiled(run, taken.astype(np.float32), tile=_TILE, overlap=_OVERLAP, multiple=network.multiple)
+    return tiled(run_tile, taken.astype(np.float32), tile=_TILE, overlap=_OVERLAP, multiple=network.multiple)
 
 
 @lru_cache(maxsize=1)
-def _network(device: str) -> NoiseAwareUNet:
+def _load_network(device: str) -> NoiseAwareUNet:
+    """Load the noise-aware network that ships onto a device."""
     network = NoiseAwareUNet()
     load_weights(network, _NOISE_AWARE)
     # A third faster on a CPU.

@@ -25,7 +25,7 @@ NAMES = ("input", "dct", "bm3d", "anscombe-bm3d", "network")
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata baseline`."""
     parser.add_argument("name", metavar="NAME", choices=NAMES, help=", ".join(NAMES))
     add_choice(parser)
     text = "profile of the camera's noise, by name or file; once per camera (default: estimated from each frame)"
@@ -39,20 +39,20 @@ def add_options(parser: console.Parser) -> None:
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:
-    """Add which set, by name or manifest."""
+    """Add the options that choose a set, by name or manifest."""
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--dataset", metavar="N", help="name in eldata info, such as eld")
     which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own")
 
 
 def add_pairs(parser: argparse.ArgumentParser) -> None:
-    """Add which of a set's pairs or clips."""
+    """Add the options that choose pairs or clips of a set."""
     parser.add_argument("--subset", metavar="NAME", help="subset on the set's card (default: the first)")
     parser.add_argument("--clip", action="append", dest="ids", metavar="ID", help="only this clip; may be repeated")
 
 
 def add_choice(parser: argparse.ArgumentParser) -> None:
-    """Add what predictions are made of, where they go, and in which form."""
+    """Add the options for the input, place and form of predictions."""
     add_set(parser)
     parser.add_argument("-o", "--output", metavar="PREDS", required=True, help="a new folder for the predictions")
     text = "pairs, levels and amplification as this protocol has them (default: the set's own)"
@@ -72,7 +72,7 @@ def chosen_options(arguments: console.Arguments) -> dict[str, Any]:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Predict a set with a baseline (`eldata baseline`)."""
     from eldata.baselines.predicting import BaselineDenoiser, write_predictions
     from eldata.noise.profile import CameraProfile
 
@@ -86,7 +86,7 @@ def run(arguments: console.Arguments) -> int:
 
 
 def show_report(report: PredictionReport, arguments: console.Arguments) -> int:
-    """Show what was predicted, and the command that scores it if there is anything; return the exit code."""
+    """Show the predictions made, and the command that scores them, if any; return the exit code."""
     print(report.format_text())
     if report.written or report.kept:
         print(_make_scoring_line(arguments))
@@ -94,7 +94,7 @@ def show_report(report: PredictionReport, arguments: console.Arguments) -> int:
 
 
 def _make_scoring_line(arguments: console.Arguments) -> str:
-    """Make the command that scores what was written."""
+    """Make the command that scores the written predictions."""
     names = ("dataset", "manifest", "protocol", "subset", "root", "dark_shading")
     options = [
         f"--{name.replace('_', '-')} {shlex.quote(value)}" for name in names if (value := getattr(arguments, name))

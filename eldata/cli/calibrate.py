@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata calibrate`."""
     text = "folder with CAMERA/{bias,flat}/ISO100/..., a camera's own folder, a manifest (.csv) or a set's name"
     parser.add_argument("frames", metavar="FRAMES", help=text)
     add_output(parser, "-o", "--output", help="write the camera profile to FILE (JSON)")
@@ -69,6 +69,7 @@ def _read_gain(text: str) -> tuple[int, float] | str:
 
 
 def _read_crop(text: str) -> tuple[slice, slice]:
+    """Read rows and columns such as ``8:-8,16:``."""
     try:
         parts = (part.split(":") for part in text.replace("−", "-").split(","))  # as pages print a minus
         rows, columns = (slice(*(int(end) if end.strip() else None for end in (start, stop))) for start, stop in parts)
@@ -78,11 +79,12 @@ def _read_crop(text: str) -> tuple[slice, slice]:
 
 
 def _read_mode(text: str) -> int | None:
+    """Read an ISO, or ``none``."""
     return None if text == "none" else console.whole_number(1)(text)
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Calibrate a camera, print its figures and write the files asked for (`eldata calibrate`)."""
     from dataclasses import asdict
 
     from eldata.base.files import write_text
@@ -122,7 +124,7 @@ def run(arguments: console.Arguments) -> int:
             left = in_line(frames.skipped[0])
             parts.append(f"left alone, not raw: {counted(len(frames.skipped), 'file')}, such as {left}")
         if calibration.problems:
-            out = f"left out: ISO {_join_isos(iso.iso for iso in calibration.failed)}"
+            out = f"left out: ISO {_format_isos(iso.iso for iso in calibration.failed)}"
             parts.append(_format_problems(calibration.camera, calibration.problems, out))
         return "\n\n".join(parts)
 
@@ -138,7 +140,7 @@ def run(arguments: console.Arguments) -> int:
             print(f"\n{arguments.dark_shading} was not written: {no_shading}")
             return
         shading.save(arguments.dark_shading)
-        isos, hot = _join_isos(iso.iso for iso in shading.isos), int(shading.hot.sum())
+        isos, hot = _format_isos(iso.iso for iso in shading.isos), int(shading.hot.sum())
         print(f"\ndark shading: {arguments.dark_shading}; ISO {isos}; {counted(hot, 'hot pixel')} left as measured")
         print(f"    {shading.digest}")
         for note in shading.notes:
@@ -150,12 +152,13 @@ def run(arguments: console.Arguments) -> int:
         write_text(arguments.html, calibration_page(calibration))
         print(f"\nreport: {arguments.html}")
 
-    def data_of_all() -> dict[str, object]:
+    def collect_json() -> dict[str, object]:
+        """Collect calibration and dark shading for JSON."""
         of_shading = {"dark_shading": None if shading is None else shading.summary()}
         return calibration.as_dict() | (of_shading if arguments.dark_shading else {})
 
     more = arguments.output and write_profile, arguments.dark_shading and write_shading, arguments.html and write_page
-    console.show_and_write(arguments, format_all, data_of_all, *more)
+    console.show_and_write(arguments, format_all, collect_json, *more)
     lacking = arguments.output and calibration.made_profile is None
     lacking = lacking or (arguments.dark_shading and shading is None) or calibration.problems
     return console.PROBLEMS if lacking or any(iso.withheld for iso in calibration.all_isos) else console.OK
@@ -184,10 +187,12 @@ def _check_modes(stated: Sequence[int | None] | None) -> list[int] | None:
     return [iso for iso in stated if iso is not None]
 
 
-def _join_isos(isos: Iterable[float]) -> str:
+def _format_isos(isos: Iterable[float]) -> str:
+    """Write ISOs with commas."""
     return ", ".join(f"{iso:g}" for iso in isos)
 
 
 def _format_problems(camera: str, problems: Sequence[Problem], outcome: str) -> str:
+    """List the problems of a camera's frames, their number and their outcome."""
     lines = [problem.format_text() for problem in problems]
     return "\n".join([*lines, f"{camera}: {counted(len(lines), 'problem')}; {outcome}"])

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata compare`."""
     text = "JSON of eldata evaluate; the first is the baseline"
     parser.add_argument("results", nargs="+", metavar="RESULT", help=text)
     text = "name of a method; once per file, in their order (default: the file's name)"
@@ -46,7 +46,7 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Compare results of several methods, and write the page if asked for (`eldata compare`)."""
     from eldata.evaluation.comparison import compare, format_comparison
     from eldata.evaluation.results import load_result
 

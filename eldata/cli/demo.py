@@ -27,7 +27,7 @@ _FEATURES = {
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata demo`."""
     parser.add_argument("folder", metavar="DIR", nargs="?", default="eldata-demo", help="default: %(default)s")
     parser.add_argument("--scenes", type=int, metavar="N", help="scenes per camera (default: 4)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the noise (default: %(default)s)")
@@ -52,7 +52,7 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Run the demo of scoring, or of calibration, in a folder (`eldata demo`)."""
     from pathlib import Path
 
     folder, seed, workers = Path(arguments.folder), arguments.seed, Workers(arguments.jobs)

@@ -19,7 +19,7 @@ from eldata.errors import ArgumentError, EldataError
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata denoise`."""
     parser.add_argument("files", metavar="RAW", nargs="+", help="raw files")
     parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a file.dng, or a folder for several")
     text = "dct, bm3d, anscombe-bm3d, or a network of yours, as eldata predict takes it (default: %(default)s)"
@@ -31,8 +31,8 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
-    outputs = _outputs(arguments)
+    """Denoise photographs into DNG files (`eldata denoise`)."""
+    outputs = _name_outputs(arguments)
     from tqdm import tqdm
 
     from eldata.baselines.photographs import denoise_file
@@ -58,8 +58,8 @@ def run(arguments: console.Arguments) -> int:
     return console.PROBLEMS if failed else console.OK
 
 
-def _outputs(arguments: console.Arguments) -> dict[Path, Path]:
-    """Name each photograph's DNG; none replaces a file that is there."""
+def _name_outputs(arguments: console.Arguments) -> dict[Path, Path]:
+    """Name each photograph's DNG; refuse to replace an existing file."""
     sources, out = [Path(name) for name in dict.fromkeys(arguments.files)], Path(arguments.output)
     if out.suffix.lower() == ".dng":
         if len(sources) > 1:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata download`."""
     parser.add_argument("dataset", metavar="DATASET", help="a dataset's name; eldata info lists them")
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--yes", action="store_true", help="fetch: you have read the addresses, sizes and licence")
@@ -56,7 +56,7 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Show the terms of a dataset, and fetch or unpack it (`eldata download`)."""
     from eldata.download.fetching import choose_parts
     from eldata.download.installing import unpack_dataset
     from eldata.download.overview import overview, presence_of
@@ -91,6 +91,7 @@ def run(arguments: console.Arguments) -> int:
 
 
 def _format_terms(details: Overview, downloads: Sequence[Download]) -> str:
+    """Describe licence, citation, downloads and the next commands of a dataset."""
     from eldata.download.overview import format_downloads
 
     card = details.card
@@ -111,6 +112,7 @@ def _format_terms(details: Overview, downloads: Sequence[Download]) -> str:
 
 
 def _fetch_parts(manifest: Manifest, root: Path, parts: Sequence[Download]) -> list[Installed]:
+    """Download and unpack the parts that are not complete on disk."""
     from eldata.download.fetching import RangeDownloader, fetch_archive
     from eldata.download.installing import unpack_dataset
     from eldata.download.overview import presence_of
@@ -125,6 +127,7 @@ def _fetch_parts(manifest: Manifest, root: Path, parts: Sequence[Download]) -> l
 
 
 def _format_conclusion(details: Overview, presence: Presence, differing: int) -> str:
+    """Say how many of the dataset's files are there, and what to do next."""
     name = details.card.name
     counted = "rows have files" if presence.patterns else "files are"
     if not presence.complete:

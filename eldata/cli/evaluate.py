@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata evaluate`."""
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("predictions", metavar="PREDS", nargs="*", default=[], help="folder of a method's predictions")
     source.add_argument("--baseline", choices=("input",), help="instead of PREDS: score the noisy input itself")
@@ -59,7 +59,7 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Score predictions, and print or write the results (`eldata evaluate`)."""
     from eldata.evaluation.evaluate import perform_each
     from eldata.evaluation.request import make_request
 
@@ -143,6 +143,7 @@ def _run_several(arguments: console.Arguments) -> int:
     comparison, why_not = compare_methods(results)
 
     def show() -> None:
+        """Print every result, and the comparison or why there is none."""
         heading = {"text": "{}:\n", "markdown": "## {}\n", "latex": "% {}"}[arguments.format]
         for name, result in results.items():
             print(heading.format(name))
@@ -161,13 +162,13 @@ def _run_several(arguments: console.Arguments) -> int:
         if comparison is not None and out is not None:
             write_comparison_page(comparison, out / f"{COMPARISON}.html")
 
-    def say_how_to_see() -> None:
+    def print_next_command() -> None:
         if comparison is not None and out is not None and arguments.format == "text":
             command = _make_pictures_command(comparison, arguments)
             print(f"\nwritten: {out}\nto see every image beside each other: {command}")
 
     console.each_of(
-        None if out is None else lambda: write_results(out, results, comparison), show, write_page, say_how_to_see
+        None if out is None else lambda: write_results(out, results, comparison), show, write_page, print_next_command
     )
     all_well = all(result.scored and not result.problems for result in results.values())
     return console.OK if all_well else console.PROBLEMS
@@ -188,6 +189,7 @@ def _make_pictures_command(comparison: Comparison, arguments: console.Arguments)
 
 
 def _show_result(result: EvaluationResult, arguments: console.Arguments) -> None:
+    """Print a result, its problems and, with ``--compare``, published scores."""
     from eldata.evaluation.scores import problem_lines
 
     form: Format = arguments.format if result.scored else "text"

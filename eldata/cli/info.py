@@ -19,13 +19,13 @@ from eldata.errors import EldataError
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata info`."""
     parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
     console.add_shared(parser, run, "root", json=True)
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """List the datasets, or show one (`eldata info`)."""
     from eldata.base.tables import text_table
     from eldata.download.overview import overview_of
     from eldata.manifest.catalogue import data_root, known_names

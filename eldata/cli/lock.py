@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata lock`."""
     parser.add_argument(
         "manifest", metavar="MANIFEST", help="a dataset's name, or a manifest's CSV file, which is changed"
     )
@@ -30,7 +30,7 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Record sizes and hashes in a manifest (`eldata lock`)."""
     from dataclasses import asdict
 
     with console.chosen_workers(arguments) as workers:
@@ -41,6 +41,7 @@ def run(arguments: console.Arguments) -> int:
 
 
 def _format_report(report: LockReport) -> str:
+    """List the problems, and how many files the manifest has recorded."""
     if report.files_locked:
         done = f"{report.path}: size and hash of {report.files_locked} files recorded"
     else:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata manifest`."""
     parser.add_argument("folder", metavar="FOLDER", help="the set's own folder, in the folder that holds the datasets")
     add_output(
         parser,
@@ -49,7 +49,7 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Write a manifest and a card of a user's raws (`eldata manifest`)."""
     from eldata.manifest.catalogue import refuse_others, save_manifest
     from eldata.manifest.own import sort_own_set
 
@@ -72,6 +72,7 @@ def run(arguments: console.Arguments) -> int:
 
 
 def _format_own_set(own: OwnSet, output: Path, folder: Path) -> str:
+    """List the problems of a user's set or, without any, its files and the next commands."""
     if own.problems:
         lines = [problem.format_text() for problem in own.problems]
         return "\n".join([*lines, f"{counted(len(lines), 'problem')}: nothing was written"])

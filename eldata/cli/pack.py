@@ -31,7 +31,7 @@ REFERENCE_HELP = "pattern of the clean frames' paths, such as '*/long/*', or '*'
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata pack`."""
     text = "a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), or a folder of clean raws"
     parser.add_argument("dataset", metavar="DATASET", help=text)
     add_output(parser, "-o", "--output", metavar="STORE", required=True, help="a new file, such as store.h5")
@@ -46,7 +46,7 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Pack frames into a store (`eldata pack`)."""
     from eldata.sources.store.write import build_store
 
     source = _choose_source(arguments)
@@ -63,6 +63,7 @@ def run(arguments: console.Arguments) -> int:
 
 
 def _choose_source(arguments: console.Arguments) -> Source:
+    """Open the frames to pack: of a folder of raws, or of a dataset by name."""
     from eldata.sources.store.write import source_of_dataset, source_of_folder
 
     if not Path(arguments.dataset).is_dir() or arguments.manifest is not None:
@@ -83,6 +84,7 @@ def _choose_source(arguments: console.Arguments) -> Source:
 
 
 def _find_calibration(arguments: console.Arguments) -> Source:
+    """Open the folder of calibration frames, of one camera or all."""
     from eldata.errors import DatasetError
     from eldata.manifest.catalogue import data_root
     from eldata.sources.store.write import source_of_folder

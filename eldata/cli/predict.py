@@ -17,7 +17,7 @@ from eldata.cli.baseline import add_choice, chosen_options, show_report
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata predict`."""
     text = "TorchScript (.pt), torch.export (.pt2) or ONNX file, or package.module:name of a torch.nn.Module"
     parser.add_argument("model", metavar="MODEL", help=text)
     add_choice(parser)
@@ -46,7 +46,7 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Predict a set with a network (`eldata predict`)."""
     from eldata.baselines.networks import load_network
     from eldata.baselines.predicting import write_predictions
 

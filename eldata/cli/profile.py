@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata profile` and its subcommands."""
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND")
     show = console.add_command(subcommands, "show", run_show.__doc__)
     show.add_argument("camera", metavar="CAMERA", help="name of a shipped profile, or path of a JSON file")
@@ -79,7 +79,7 @@ def _format_rows(profile: CameraProfile) -> list[str]:
     """Describe the figures at each ISO, and the lines over K."""
     from eldata.base.tables import text_table
 
-    def cell(value: float | None) -> str:
+    def format_cell(value: float | None) -> str:
         return "-" if value is None else f"{value:.4g}"
 
     header = ("ISO", "K", "lambda", "sigma_TL", "sigma_G", "sigma_row", "bias R", "G1", "B", "G2")
@@ -87,7 +87,7 @@ def _format_rows(profile: CameraProfile) -> list[str]:
     for row in profile.rows:
         scales = row.sigma_tl_dn, row.sigma_gauss_dn, row.sigma_row_dn
         figures = row.gain_dn_per_e, row.tukey_lambda, *scales, *row.colour_bias_dn
-        rows.append(("-" if row.iso is None else f"{row.iso:g}", *map(cell, figures)))
+        rows.append(("-" if row.iso is None else f"{row.iso:g}", *map(format_cell, figures)))
     known = [place for place in range(len(header)) if any(row[place] != "-" for row in rows)]
     table = text_table([header[place] for place in known], [[row[place] for place in known] for row in rows], left=())
     lines = []

@@ -21,7 +21,7 @@ _DIGEST = "sha256:"
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata protocols`."""
     parser.add_argument(
         "protocol",
         metavar="NAME",
@@ -36,7 +36,7 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """List the protocols, or show some (`eldata protocols`)."""
     from eldata.base.tables import text_table
     from eldata.protocols.named import PROTOCOLS
     from eldata.protocols.words import HEADER, summary
@@ -60,6 +60,7 @@ def run(arguments: console.Arguments) -> int:
 
 
 def _choose_protocols(names: list[str], dataset: str | None) -> list[Protocol]:
+    """Find protocols by name, family or digest, and keep those for a dataset."""
     from eldata.errors import ArgumentError, did_you_mean
     from eldata.manifest.catalogue import known_names
     from eldata.protocols.named import FAMILIES, PROTOCOLS, get_protocol, members_of, of_digest
@@ -84,6 +85,7 @@ def _choose_protocols(names: list[str], dataset: str | None) -> list[Protocol]:
 
 
 def _format_protocol(protocol: Protocol) -> str:
+    """List a protocol's rules, source and digest, a line each."""
     from eldata.base.tables import wrapped
     from eldata.protocols.words import described
 

@@ -22,7 +22,7 @@ _RECIPE_OPTIONS = (
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata synthesize`."""
     parser.add_argument("clean", metavar="CLEAN", nargs="+", help="folder of clean raw files, a manifest, or several")
     parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a new folder")
     parser.add_argument("--reference", metavar="PATTERN", help=REFERENCE_HELP)
@@ -80,6 +80,7 @@ def add_options(parser: console.Parser) -> None:
 
 
 def _read_ratio(text: str) -> tuple[float, float]:
+    """Read one exposure ratio, or the lowest and highest such as ``100:300``."""
     low, _, high = text.partition(":")
     try:
         return float(low), float(high or low)
@@ -88,13 +89,14 @@ def _read_ratio(text: str) -> tuple[float, float]:
 
 
 def _read_split(text: str) -> tuple[float, float]:
+    """Read two shares such as ``95:5``."""
     if ":" not in text:
         raise argparse.ArgumentTypeError(f"expected two shares such as 95:5, found {text!r}")
     return _read_ratio(text)
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Make noisy raw files from clean ones, with a manifest (`eldata synthesize`)."""
     from pathlib import Path
 
     from eldata.datasets.synthetic.synthesis import Recipe, synthesize

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: console.Parser) -> None:
-    """Add its options."""
+    """Add the options of `eldata verify`."""
     parser.add_argument(
         "manifests",
         metavar="MANIFESTS",
@@ -43,7 +43,7 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run(arguments: console.Arguments) -> int:
-    """Run this command."""
+    """Verify files against manifests, or a store (`eldata verify`)."""
     store = next((path for path in arguments.manifests if path.lower().endswith((".h5", ".hdf5"))), None)
     if store is not None and len(arguments.manifests) > 1:
         raise ArgumentError(f"{store} is checked alone: give it in a command of its own")
@@ -56,6 +56,7 @@ def run(arguments: console.Arguments) -> int:
 
 
 def _verify_store(arguments: console.Arguments, path: str, workers: Workers) -> VerifyReport:
+    """Verify a packed store, without options that are for manifests."""
     from eldata.sources.store.write import verify_store
 
     if arguments.root is not None or arguments.cameras:
@@ -64,6 +65,7 @@ def _verify_store(arguments: console.Arguments, path: str, workers: Workers) -> 
 
 
 def _verify_files(arguments: console.Arguments, workers: Workers) -> VerifyReport:
+    """Verify datasets' files: of the named manifests, else of all known ones."""
     from eldata.manifest.catalogue import find_manifests, known_manifests
 
     if arguments.manifests:

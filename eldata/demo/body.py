@@ -97,7 +97,7 @@ class FixedFeatures:
     gain_dn_per_e: float = 1.0
 
     def scale(self, gain_dn_per_e: float) -> float:
-        """Return by what the figures in DN are multiplied at a gain K."""
+        """Compute the factor that scales figures in DN to a gain K."""
         return math.sqrt(gain_dn_per_e / self.gain_dn_per_e)
 
 
@@ -192,6 +192,7 @@ class Body:
         return self._digitise(self.offset_dn(noise) + temporal_noise_dn(noise, self.channel.shape, generator) + signal)
 
     def _digitise(self, values_dn: NDArray[np.float32]) -> NDArray[np.uint16]:
+        """Round values to DN and clip them from 0 to white, uint16; the values are overwritten."""
         np.rint(values_dn, out=values_dn)
         np.clip(values_dn, 0, self.sensor.white_level_dn, out=values_dn)
         return values_dn.astype(np.uint16)

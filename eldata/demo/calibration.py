@@ -82,10 +82,11 @@ def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> st
     """
     header = ("ISO", "K [%]", "lambda", "sigma_TL [%]", "sigma_G [%]", "sigma_row [%]", "colour bias [DN]")
     true = {known["iso"]: known for known in truth["isos"]}
-    return text_table(header, [_error_row(record, true[record.iso]) for record in calibration.isos], left=())
+    return text_table(header, [_list_errors(record, true[record.iso]) for record in calibration.isos], left=())
 
 
-def _error_row(record: IsoCalibration, true: dict[str, Any]) -> tuple[str, ...]:
+def _list_errors(record: IsoCalibration, true: dict[str, Any]) -> tuple[str, ...]:
+    """List the errors of one ISO's figures, as a row of text."""
     shape = "withheld"
     if record.tukey_lambda is not None:
         off = record.tukey_lambda.value - true["tukey_lambda"]
@@ -108,6 +109,7 @@ def _error_row(record: IsoCalibration, true: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _format_error(figure: MeasuredFigure | None, true: float) -> str:
+    """Write a figure's relative error in percent and, in brackets, in standard errors."""
     if figure is None:
         return "withheld"
     return f"{100 * (figure.value / true - 1):+.2f} ({(figure.value - true) / figure.error:+.1f})"

@@ -129,11 +129,12 @@ class _Shot:
 
     @property
     def noise(self) -> KnownNoise:
+        """The noise at its ISO."""
         return self.plan.noise[self.iso_index]
 
     @property
     def level_dn(self) -> float:
-        """Of the middle of a flat."""
+        """Level over black in the middle of a flat, DN."""
         return self.plan.lamp_e_per_s * float(self.exposure_s) * self.noise.gain_dn_per_e
 
 
@@ -184,18 +185,18 @@ def make_calibration_frames(
     noise = tuple(camera.noise_at(iso) for iso in isos)
     body = _draw_body(camera.sensor, features, seed)
     lamp = _lamp_e_per_s(camera, body)
-    times = tuple(_flat_times_s(camera.sensor, known, lamp * _mean_light(body), flat_levels) for known in noise)
+    times = tuple(_flat_times_s(camera.sensor, known, lamp * _average_light(body), flat_levels) for known in noise)
     plan = _Plan(camera, features, seed, lamp, bias_frames, noise, times)
 
     data, manifests = folder / "data" / _FOLDER, folder / "manifests"
     shots = tuple(_plan_shots(data, plan))
     manifests.mkdir(parents=True, exist_ok=True)
     try:
-        for _ in workers.run(_take, shots, label="calibration frames", unit="frame"):
+        for _ in workers.run(_take_frame, shots, label="calibration frames", unit="frame"):
             pass
     finally:
         _draw_body.cache_clear()  # a caller's process need not keep its arrays
-    write_json(folder / "truth.json", _truth(plan, body), indent=1)
+    write_json(folder / "truth.json", _collect_truth(plan, body), indent=1)
     records = [
         FrameRecord(
             shot.path.relative_to(data).as_posix(),
@@ -221,6 +222,7 @@ def _draw_body(sensor: Sensor, features: FixedFeatures, seed: int) -> Body:
 
 
 def _span_dn(sensor: Sensor) -> float:
+    """Compute the range from the highest black level to white, DN."""
     return sensor.white_level_dn - max(sensor.black_level_dn)
 
 
@@ -228,10 +230,11 @@ def _lamp_e_per_s(camera: CalibrationCamera, body: Body) -> float:
     """Return the lamp's light in mid-frame, photoelectrons per second: the same for any choice of ISOs."""
     lowest_gain = min(noise.gain_dn_per_e for noise in camera.noise)
     mean_e = _BRIGHTEST_SHARE * _span_dn(camera.sensor) / lowest_gain
-    return mean_e / float(_BRIGHTEST_S) / _mean_light(body)
+    return mean_e / float(_BRIGHTEST_S) / _average_light(body)
 
 
-def _mean_light(body: Body) -> float:
+def _average_light(body: Body) -> float:
+    """Average a body's relative light over the frame."""
     return float(body.light.mean(dtype=np.float64))
 
 
@@ -262,7 +265,7 @@ def _plan_shots(data: Path, plan: _Plan) -> Iterator[_Shot]:
             yield _Shot(plan, path, role, iso_index, frame_index, exposure_s)
 
 
-def _take(shot: _Shot) -> None:
+def _take_frame(shot: _Shot) -> None:
     """Take one frame and write it."""
     # 1 + the index: the specimen's own draws have 0 there.
     plan, noise = shot.plan, shot.noise
@@ -275,9 +278,9 @@ def _take(shot: _Shot) -> None:
     write_shot(shot.path, mosaic, plan.camera.sensor, Fraction(noise.iso), shot.exposure_s)
 
 
-def _truth(plan: _Plan, body: Body) -> dict[str, object]:
-    """Return all that is known, for JSON; exposure times as exact text, as in the manifest."""
-    sensor, mean_light = plan.camera.sensor, _mean_light(body)
+def _collect_truth(plan: _Plan, body: Body) -> dict[str, object]:
+    """Collect the true parameters, for JSON; exposure times as exact text, as in the manifest."""
+    sensor, mean_light = plan.camera.sensor, _average_light(body)
     return {
         "camera": plan.camera.name,
         "seed": plan.seed,

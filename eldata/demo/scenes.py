@@ -123,17 +123,17 @@ class _Stage:
         self.side = -1.0 if drift[1] < 0 else 1.0  # -1 mirrors the layout and moves the lamp across
         self.lamp = (self.side * (-0.55 + 0.25 * drift[2]), -0.45 + 0.2 * drift[3])
         self.texture = _texture(self.rng, height, width)
-        self.light = self._light()
-        self._backdrop()
+        self.light = self._make_light()
+        self._paint_backdrop()
 
-    def _light(self) -> Field:
-        """Return the illumination, a warm lamp and a faint cool fill, as (3, height, width)."""
+    def _make_light(self) -> Field:
+        """Make the illumination, a warm lamp and a faint cool fill, as (3, height, width)."""
         reach = ((self.x - self.lamp[0]) / 1.6) ** 2 + ((self.y - self.lamp[1]) / 1.35) ** 2
         key = (1 + reach) ** -1.7
         warm, cool = np.array([1.0, 0.955, 0.88]), np.array([0.008, 0.011, 0.016])
         return np.asarray(warm[:, None, None] * key + cool[:, None, None] * (1 - key), np.float32)
 
-    def _backdrop(self) -> None:
+    def _paint_backdrop(self) -> None:
         """Paint a mottled wall, and a table whose threaded holes recede to the horizon."""
         self.colour[:] = (0.13 * _hue(self.hue, 0.32))[:, None, None]
         self.colour *= np.exp((0.30 if self.kind == 2 else 0.16) * self.texture)
@@ -306,7 +306,8 @@ class _Stage:
         return np.asarray(np.clip(self.colour * self.light + self.gloss, 0, 1), np.float32)
 
 
-def _colour_chart(stage: _Stage) -> None:
+def _paint_chart(stage: _Stage) -> None:
+    """Paint a colour chart, a step wedge and balls."""
     m = stage.side
     stage.post(1.31 * m, -0.50, 0.60, 0.045)
     stage.chart(-0.40 * m, -0.04, 0.282)
@@ -318,7 +319,8 @@ def _colour_chart(stage: _Stage) -> None:
     stage.sphere(-1.22 * m, 0.86, 0.125, 0.7 * _hue(hues[2], 0.10), 0.6)
 
 
-def _resolution(stage: _Stage) -> None:
+def _paint_bars(stage: _Stage) -> None:
+    """Paint a Siemens star, slanted edges and bars of five frequencies."""
     m = stage.side
     stage.panel(-0.62 * m, -0.09, 1.30, 1.30, WHITE)
     stage.star(-0.62 * m, -0.09, 0.57, (36, 48, 24, 60)[stage.variation % 4])
@@ -339,7 +341,8 @@ def _resolution(stage: _Stage) -> None:
     stage.sphere(0.28 * m, 0.90, 0.08, 0.8 * _hue(hues[1], 0.08), 0.8)
 
 
-def _gradients(stage: _Stage) -> None:
+def _paint_gradients(stage: _Stage) -> None:
+    """Paint gradients of hue and grey, a glow and balls."""
     m = stage.side
     stage.panel(-0.52 * m, -0.47, 1.50, 0.62, 0.03)
     stage.fill(-0.52 * m, -0.61, 1.40, 0.24, lambda u, _: 0.9 * _hue(u + stage.hue, 0.04))
@@ -368,7 +371,8 @@ def _glow(hue: float, x: Field, y: Field) -> Field:
     return np.asarray(0.004 + 0.9 * _hue(hue + 0.36 - 0.55 * r, 0.10) * np.exp(-((r / 0.40) ** 2)))
 
 
-def _lettering(stage: _Stage) -> None:
+def _paint_letters(stage: _Stage) -> None:
+    """Paint two boards of text in falling sizes, and balls."""
     m, first = stage.side, int(stage.rng.integers(len(LINES))) * bool(stage.variation)
     lines = LINES[first:] + LINES[:first]
     stage.panel(-0.58 * m, -0.12, 1.46, 1.24, WHITE)
@@ -391,4 +395,4 @@ def _lettering(stage: _Stage) -> None:
     stage.sphere(-0.98 * m, 0.86, 0.16, 0.5 * _hue(hues[3], 0.12), 0.9)
 
 
-COMPOSITIONS: Final[Sequence[Callable[[_Stage], None]]] = (_colour_chart, _resolution, _gradients, _lettering)
+COMPOSITIONS: Final[Sequence[Callable[[_Stage], None]]] = (_paint_chart, _paint_bars, _paint_gradients, _paint_letters)

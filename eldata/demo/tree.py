@@ -90,7 +90,7 @@ def prepare_folder(folder: Path) -> None:
 
 
 def verify_own(manifest: Manifest, root: Path) -> None:
-    """Verify a demo's own files as the command that is printed does, and print what it found.
+    """Verify a demo's own files; print the command that does the same, and the report.
 
     Raises
     ------

@@ -21,7 +21,8 @@ Image = NDArray[np.float32]
 
 
 @cache
-def _network() -> Any:
+def _load_network() -> Any:
+    """Load LPIPS with AlexNet, for images in [0, 1]."""
     return lpip.LearnedPerceptualImagePatchSimilarity("alex", normalize=True)  # of images in [0, 1]
 
 
@@ -29,7 +30,7 @@ def perceptual_distance(prediction: Image, reference: Image) -> float:
     """Return LPIPS of two sRGB images (3, h, w) in [0, 1]: 0 for equal ones."""
     first, second = (torch.from_numpy(image)[None] for image in (prediction, reference))
     with torch.inference_mode():
-        return float(_network()(first, second))
+        return float(_load_network()(first, second))
 
 
 lpips = Task(

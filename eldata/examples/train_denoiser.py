@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
     network = UNet(made, inputs=channels, width=options.width, depth=options.depth, seed=options.seed)
 
     def score_epoch(report: EpochReport, steps: int) -> dict[str, float]:
+        """Gather an epoch's speed and, when it is due, its validation scores."""
         is_due = options.validate and ((report.epoch + 1) % options.validate_every == 0 or report.step == steps)
         return {"items/s": report.items_per_s} | (validate(network, options, device) if is_due else {})
 
@@ -152,7 +153,7 @@ def training_data(options: argparse.Namespace) -> Dataset[Any]:
 
 
 def as_task(pairs: Dataset[Any], options: argparse.Namespace) -> Dataset[Any]:
-    """Return pairs of packed raw as the task has them, rendered with the response of the protocol."""
+    """Convert pairs of packed raw to the task's: raw, or rendered with the protocol's response."""
     if options.task == "raw2raw":
         return pairs
     render = {"raw2rgb": raw2rgb, "rgb2rgb": rgb2rgb}[options.task]
@@ -243,6 +244,7 @@ def validate(network: UNet, options: argparse.Namespace, device: torch.device) -
     network.eval()
 
     def predict(image: Any) -> Any:
+        """Denoise an image (C, h, w) by the network."""
         return network(torch.from_numpy(image)[None].to(device))[0].float().cpu().numpy()
 
     with torch.inference_mode():
@@ -302,7 +304,7 @@ def start_ranks(kind: str) -> torch.device:
 
 
 def parser() -> console.Parser:
-    """Return the command line."""
+    """Make the command line's parser."""
     parser, data = program(__doc__, run)
     data.add_argument(
         "--clean", nargs="+", metavar="CLEAN", help="folders of clean raws, manifests, or packed stores of such"
@@ -338,7 +340,7 @@ def parser() -> console.Parser:
 def program(
     documented: str, run: Callable[[argparse.Namespace], int]
 ) -> tuple[console.Parser, argparse._ArgumentGroup]:
-    """Return the parser of a training and its group of data, for what else there is; its docstring is its help."""
+    """Make a training's parser, its help from a docstring, and the group of its data options."""
     parser = console.document(
         console.Parser(prog=(prog := documented.split("`")[1]), usage=f"{prog} [options]"), documented
     )
@@ -356,7 +358,7 @@ def program(
 
 
 def add_training_options(parser: argparse.ArgumentParser, data: argparse._ArgumentGroup) -> argparse._ArgumentGroup:
-    """Add what both trainings have: the noise, the crops, and how to train, whose group is returned."""
+    """Add the options of both trainings: noise, crops and training; return the group of the last."""
     default = "(default: %(default)s)"
     data.add_argument("--camera", nargs="+", metavar="NAME", help="whose noise is made: shipped profiles, or files")
     data.add_argument(

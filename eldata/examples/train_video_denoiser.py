@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:
-    """Return windows of so many frames: of real static clips and their still, or of clean ones with noise made."""
+    """Open clips in windows of so many frames: real static ones and their still, or clean ones with made noise."""
     crops = {"crop": options.crop, "seed": options.seed, "clip": options.input_clip}
     if options.clips:
         place = Path(options.clips)
@@ -87,7 +87,7 @@ def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:
 
 
 def parser() -> console.Parser:
-    """Return the command line."""
+    """Make the command line's parser."""
     parser, data = program(__doc__, run)
     data.add_argument(
         "--clean", metavar="CLEAN", help="clean clips: a folder with a folder of raws for each, or the store of such"

@@ -186,6 +186,7 @@ class EldataReferences(EldataPairs):
         return len(self._references)
 
     def _read_sample(self, index: int, generator: np.random.Generator) -> dict[str, Any]:
+        """Read a clean image in DN as LED's sample, with its levels, colours and a random ratio."""
         path = self._references[index]
         frame = self.pairs.source.frame(path).with_levels(self.pairs.levels)
         crop = self._cut(frame, Crop.draw(frame, generator, crop=self.pairs.crop, augment=False))
@@ -247,25 +248,26 @@ def eldata_psnr(img: torch.Tensor, img2: torch.Tensor, *, protocol: str = "eld",
         If the images are no batches of tensors: the yaml needs ``calculate_metric_in_batch: true``, or BasicSR rounds
         them to 8 bits first. If the protocol is not one of raw images.
     """
-    return _scores(img, img2, protocol, "psnr_db")
+    return _score_batch(img, img2, protocol, "psnr_db")
 
 
 def eldata_ssim(img: torch.Tensor, img2: torch.Tensor, *, protocol: str = "eld", **_: Any) -> torch.Tensor:
     """Return each image's SSIM under a protocol; all else is as for :func:`eldata_psnr`."""
-    return _scores(img, img2, protocol, "ssim")
+    return _score_batch(img, img2, protocol, "ssim")
 
 
 def eldata_psnr_pt(img: torch.Tensor, img2: torch.Tensor, *, protocol: str = "eld", **_: Any) -> torch.Tensor:
     """Return the same as :func:`eldata_psnr`: LED adds ``_pt`` to the names of metrics that it gives tensors."""
-    return _scores(img, img2, protocol, "psnr_db")
+    return _score_batch(img, img2, protocol, "psnr_db")
 
 
 def eldata_ssim_pt(img: torch.Tensor, img2: torch.Tensor, *, protocol: str = "eld", **_: Any) -> torch.Tensor:
     """Return the same as :func:`eldata_ssim`: LED adds ``_pt`` to the names of metrics that it gives tensors."""
-    return _scores(img, img2, protocol, "ssim")
+    return _score_batch(img, img2, protocol, "ssim")
 
 
-def _scores(img: torch.Tensor, img2: torch.Tensor, protocol: str, column: str) -> torch.Tensor:
+def _score_batch(img: torch.Tensor, img2: torch.Tensor, protocol: str, column: str) -> torch.Tensor:
+    """Score batches (B, C, h, w) image by image under a protocol; ``column`` names the metric."""
     images: tuple[Any, ...] = (img, img2)  # whatever the training code hands over
     if not all(isinstance(image, torch.Tensor) and image.ndim == 4 for image in images):
         raise ArgumentError(

@@ -74,7 +74,7 @@ class _MeanOverImages(Metric):
         ArgumentError
             If they are not images of floating-point numbers, are too small or differ in shape. Nothing is added then.
         """
-        scores = [self._scores(prediction, reference) for prediction, reference in _images(preds, target)]
+        scores = [self._scores(prediction, reference) for prediction, reference in _pair_images(preds, target)]
         if not scores:
             return
         for column, values in zip(self.columns, zip(*scores, strict=True), strict=True):
@@ -85,6 +85,7 @@ class _MeanOverImages(Metric):
         """Return the values of one image, one per column."""
 
     def _mean(self, column: str) -> torch.Tensor:
+        """Average one column's values over all images so far, float64."""
         kept = getattr(self, column)  # one tensor once processes are joined, else a list
         parts = kept if isinstance(kept, list) else [kept]
         values = [value for part in parts for value in part.tolist()]
@@ -103,6 +104,7 @@ class _OneScore(_MeanOverImages):
         self.data_range = data_range
 
     def _scores(self, prediction: torch.Tensor, reference: torch.Tensor) -> tuple[float, ...]:
+        """Compute the metric of one image."""
         return (self.measure(prediction, reference, data_range=self.data_range, threads=self.threads),)
 
     def compute(self) -> torch.Tensor:
@@ -187,6 +189,7 @@ class ProtocolScore(_MeanOverImages):
         self.protocol = chosen
 
     def _scores(self, prediction: torch.Tensor, reference: torch.Tensor) -> tuple[float, ...]:
+        """Compute an image's PSNR and SSIM under the protocol."""
         found = protocol_score(self.protocol, prediction, reference, threads=self.threads)
         return found.psnr_db, found.ssim
 
@@ -195,7 +198,8 @@ class ProtocolScore(_MeanOverImages):
         return {column: self._mean(column) for column in self.columns}
 
 
-def _images(preds: torch.Tensor, target: torch.Tensor) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+def _pair_images(preds: torch.Tensor, target: torch.Tensor) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+    """Pair the images of two batches (B, C, h, w), or two single images, of one shape."""
     for name, value in (("preds", preds), ("target", target)):
         if not isinstance(value, torch.Tensor):
             raise ArgumentError(f"{name} must be a torch tensor, not {type(value).__name__}")

@@ -170,12 +170,12 @@ def legend_above(axes: Axes, *, middle: float = 0.45, most: int = 4, handle: flo
 
 
 def spread_evenly(size: int, most: int) -> NDArray[np.int64]:
-    """Return which of ``size`` values to draw: ``most`` of them at most, evenly spread."""
+    """Choose the indices of at most ``most`` values to draw, evenly spread."""
     return np.linspace(0, size - 1, min(size, most)).round().astype(np.int64)
 
 
 def thin_out(size: int) -> NDArray[np.int64]:
-    """Return which of many ordered values to draw: a few hundred evenly, and the tails in full."""
+    """Choose the indices of ordered values to draw: a few hundred evenly, and the tails in full."""
     tail = np.arange(min(size, _TAIL_SHOWN))
     return np.unique(np.concatenate([spread_evenly(size, _POINTS_SHOWN), tail, size - 1 - tail]))
 
@@ -272,6 +272,7 @@ class Drawing(Figure):
     """A figure that a notebook shows whether or not pyplot was imported there."""
 
     def _repr_png_(self) -> bytes:
+        """Draw the figure as a PNG, for notebooks."""
         buffer = io.BytesIO()
         self.savefig(buffer, format="png")
         return buffer.getvalue()

@@ -34,6 +34,7 @@ def side_by_side(title: str, panels: Sequence[Panel]) -> Drawing:
 
 
 def _draw_pixels(pixels: NDArray[Any], axes: Axes, _theme: Theme) -> None:
+    """Draw a picture (h, w, 3), or single values (h, w) as a map with its scale."""
     if pixels.ndim == 3:
         axes.imshow(pixels)
     else:
@@ -48,30 +49,31 @@ def _draw_pixels(pixels: NDArray[Any], axes: Axes, _theme: Theme) -> None:
 
 
 def thumbnail(pixels: NDArray[np.uint8], most: int) -> bytes:
-    """Return (h, w, 3) as a JPEG of at most so many columns and rows, small enough for a notebook."""
+    """Encode (h, w, 3) as a JPEG of at most so many columns and rows, small enough for a notebook."""
     image = Image.fromarray(np.ascontiguousarray(pixels))
     image = image.reduce(max(1, -(-max(image.size) // most)))
     for quality in (85, 70, 50, 30):
-        jpeg = _encode(image, format="JPEG", quality=quality)
+        jpeg = _encode_image(image, format="JPEG", quality=quality)
         if len(jpeg) <= _MOST_BYTES:
             break
     return jpeg
 
 
 def jpeg_of(pixels: NDArray[np.uint8], quality: int) -> bytes:
-    """Return (h, w, 3) as a JPEG whose colours are as fine as its brightness: noise of single pixels stays."""
-    return _encode(Image.fromarray(np.ascontiguousarray(pixels)), format="JPEG", quality=quality, subsampling=0)
+    """Encode (h, w, 3) as a JPEG whose colours are as fine as its brightness: noise of single pixels stays."""
+    return _encode_image(Image.fromarray(np.ascontiguousarray(pixels)), format="JPEG", quality=quality, subsampling=0)
 
 
 def grey_png(values: NDArray[Any], low: float, high: float) -> bytes:
-    """Return (h, w) as a PNG in which ``low`` and below is black, ``high`` and above white."""
+    """Encode (h, w) as a PNG in which ``low`` and below is black, ``high`` and above white."""
     span = high - low if high > low else 1.0
     steps = np.rint(np.clip((values - low) / span, 0, 1) * (_GREYS - 1))
     pixels = np.rint(steps * (255 / (_GREYS - 1))).astype(np.uint8)
-    return _encode(Image.fromarray(pixels), format="PNG", optimize=True)
+    return _encode_image(Image.fromarray(pixels), format="PNG", optimize=True)
 
 
-def _encode(image: Image.Image, **options: Any) -> bytes:
+def _encode_image(image: Image.Image, **options: Any) -> bytes:
+    """Encode an image in a file format, given by Pillow's options."""
     buffer = io.BytesIO()
     image.save(buffer, **options)
     return buffer.getvalue()
@@ -89,13 +91,13 @@ def block_means(values: NDArray[Any], step: int) -> NDArray[Any]:
 
 
 def limits(planes: Sequence[NDArray[Any]], low: float, high: float) -> tuple[float, float]:
-    """Return the values that these shares of the entries of all planes stay below: black and white of a picture."""
+    """Find the values that these shares of all planes' entries stay below: black and white of a picture."""
     first, last = np.quantile(np.concatenate([plane.ravel() for plane in planes]), (low, high))
     return float(first), float(last)
 
 
 def error_limit(errors: Sequence[NDArray[Any]]) -> float:
-    """Return the error that 99.8 % of all stay below: the lightest colour of :func:`heat`; above 0."""
+    """Find the error that 99.8 % of all stay below: the lightest colour of :func:`heat`; above 0."""
     every = [error.ravel() for error in errors]
     return max(float(np.quantile(np.concatenate(every), _SHARE_SHOWN)) if every else 0.0, 1e-6)
 

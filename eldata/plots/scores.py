@@ -62,7 +62,7 @@ def strips(axes: Axes, values: Sequence[Strip], theme: Theme) -> None:
             xs += [middle + (((rank * _GOLDEN) % 1) - 0.5) * 0.6 * width for rank in range(len(ordered))]
             ys += ordered
             if strip.mean is not None:
-                _mean_bar(axes, middle, 0.42 * width, strip.mean, theme)
+                _draw_mean(axes, middle, 0.42 * width, strip.mean, theme)
         axes.plot(xs, ys, linestyle="none", alpha=0.55, **look_of_factor(index, ratio, theme))
     axes.set_xlim(-0.55, len(groups) - 0.45)
     axes.xaxis.set_major_locator(FixedLocator(list(range(len(groups)))))
@@ -80,7 +80,8 @@ def strips(axes: Axes, values: Sequence[Strip], theme: Theme) -> None:
     legend_of_factors(axes, ratios)
 
 
-def _mean_bar(axes: Axes, x: float, half: float, mean: Mean, theme: Theme) -> None:
+def _draw_mean(axes: Axes, x: float, half: float, mean: Mean, theme: Theme) -> None:
+    """Draw a mean as a level bar, and its interval, where known, as an upright line."""
     middle, low, high = mean
     axes.plot([x - half, x + half], [middle] * 2, color=theme.ink, linewidth=2, zorder=4)
     if math.isfinite(low) and math.isfinite(high):

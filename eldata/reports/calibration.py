@@ -50,16 +50,16 @@ _READ_NOISE = {
 
 
 def calibration_page(calibration: Calibration) -> str:
-    """Return the page; the same calibration gives the same text."""
+    """Render the page of a calibration; the same calibration gives the same text."""
     isos = calibration.all_isos
     return render_page(
         "calibration.html",
         calibration=calibration,
         verdict=_verdict(calibration),
-        wary=_wary(calibration),
-        withheld=_symbols("withheld", isos),
-        widened=_symbols("wider", isos),
-        remarks=_remarks(calibration),
+        wary=_count_remarks(calibration),
+        withheld=_list_symbols("withheld", isos),
+        widened=_list_symbols("wider", isos),
+        remarks=_sort_remarks(calibration),
         tables=[
             {
                 "name": name,
@@ -70,8 +70,8 @@ def calibration_page(calibration: Calibration) -> str:
             for name, (header, rows) in calibration.tables().items()
         ],
         joint=joint_plots(calibration),
-        sections=_sections(calibration),
-        made_from=_made_from(calibration),
+        sections=_list_sections(calibration),
+        made_from=_describe_frames(calibration),
     )
 
 
@@ -94,8 +94,8 @@ def _verdict(calibration: Calibration) -> str:
     return f"{where}{of_gain}.{of_profile}"
 
 
-def _wary(calibration: Calibration) -> str:
-    """Say in a sentence where there is something to be wary of; empty if nowhere."""
+def _count_remarks(calibration: Calibration) -> str:
+    """Count the remarks, with the ISOs that have any, in a sentence; empty if there are none."""
     places = [f"ISO {record.iso:g}" for record in calibration.all_isos if record.all_remarks]
     if not places and not calibration.remarks:
         return ""
@@ -107,7 +107,7 @@ def _wary(calibration: Calibration) -> str:
     return f"{counted(len(calibration.all_remarks), 'remark')}, on {join_words(places)}."
 
 
-def _by_iso(items: Iterable[tuple[Any, IsoGain]]) -> dict[Any, str]:
+def _join_isos(items: Iterable[tuple[Any, IsoGain]]) -> dict[Any, str]:
     """List each item once, with its ISOs."""
     isos: dict[Any, list[str]] = {}
     for item, record in items:
@@ -115,26 +115,28 @@ def _by_iso(items: Iterable[tuple[Any, IsoGain]]) -> dict[Any, str]:
     return {item: f"ISO {join_words(names)}" for item, names in isos.items()}
 
 
-def _symbols(effect: Effect, isos: Sequence[IsoGain]) -> str:
+def _list_symbols(effect: Effect, isos: Sequence[IsoGain]) -> str:
     """List the symbols of figures that are withheld, or have a larger error, with their ISOs; empty if none."""
-    symbols = _by_iso((record.symbols(effect), record) for record in isos)
+    symbols = _join_isos((record.symbols(effect), record) for record in isos)
     return "; ".join(f"{names} at {where}" for names, where in symbols.items() if names)
 
 
-def _remarks(calibration: Calibration) -> list[tuple[str, str, Effect]]:
-    """List ISOs (empty: of the whole), remark, and what becomes of figures, gravest first, each remark once."""
-    of_isos = _by_iso((remark, record) for record in calibration.all_isos for remark in _remarks_on(record))
+def _sort_remarks(calibration: Calibration) -> list[tuple[str, str, Effect]]:
+    """List each remark once, gravest first: its ISOs (empty: the whole calibration), text, effect on figures."""
+    of_isos = _join_isos((remark, record) for record in calibration.all_isos for remark in _list_remarks(record))
     remarks: list[tuple[str, str, Effect]] = [(where, *remark) for remark, where in of_isos.items()]
     remarks += [("", remark, "remark") for remark in calibration.remarks]
     return sorted(remarks, key=lambda remark: _GRAVEST.index(remark[2]))
 
 
-def _remarks_on(record: IsoGain) -> list[tuple[str, Effect]]:
+def _list_remarks(record: IsoGain) -> list[tuple[str, Effect]]:
+    """List the remarks of an ISO's findings, then its own, each with its effect on figures."""
     of_findings = [(finding.remark, finding.effect) for finding in record.findings]
     return [*of_findings, *((remark, "remark") for remark in record.remarks)]
 
 
-def _made_from(calibration: Calibration) -> str:
+def _describe_frames(calibration: Calibration) -> str:
+    """Say how many frames, and of which sizes, a calibration has used."""
     isos = calibration.all_isos
     sizes = sorted({(record.sensor.width, record.sensor.height) for record in isos})
     shapes = join_words([f"{width} × {height}" for width, height in sizes])
@@ -147,21 +149,21 @@ def _made_from(calibration: Calibration) -> str:
 # --- one ISO ------------------------------------------------------------------------------------------------------
 
 
-def _sections(calibration: Calibration) -> list[tuple[str, str, list[tuple[str, Effect]], list[dict[str, Any]]]]:
+def _list_sections(calibration: Calibration) -> list[tuple[str, str, list[tuple[str, Effect]], list[dict[str, Any]]]]:
     """List ISO, summary, remarks and groups of each ISO, ascending."""
-    groups = {record.iso: [_gain(record)] for record in calibration.gains}
+    groups = {record.iso: [_group_gain(record)] for record in calibration.gains}
     summaries = dict.fromkeys(groups, "")
     for record in calibration.isos:
         figures = (record.figures[name] for name in _SUMMARY)
         summaries[record.iso] = "".join(
             f", {typeset(figure.label)} {_alone(figure, 3 if figure.unit else 2)}" for figure in figures
         )
-        kinds = (_gain, _colour_bias, _rows, _read_noise, _reproduction, _pattern)
+        kinds = (_group_gain, _group_colour_bias, _group_rows, _group_read_noise, _group_reproduction, _group_pattern)
         groups[record.iso] = [gather(record) for gather in kinds]
     sections = []
     for each in calibration.all_isos:
         gain = "K not known" if each.gain_text == "-" else f"K {_alone(each.gain)}"
-        sections.append((f"{each.iso:g}", gain + summaries[each.iso], _remarks_on(each), groups[each.iso]))
+        sections.append((f"{each.iso:g}", gain + summaries[each.iso], _list_remarks(each), groups[each.iso]))
     return sections
 
 
@@ -191,7 +193,7 @@ def _group(
     return {"title": title, **shown, "note": note, "effect": effect}
 
 
-def _figures(record: IsoCalibration, labels: Mapping[str, str]) -> Rows:
+def _format_figures(record: IsoCalibration, labels: Mapping[str, str]) -> Rows:
     """Write figures with their errors; one that never has any is left out where it is not known."""
     figures = [(label, record.figures[name]) for name, label in labels.items()]
     return [
@@ -202,12 +204,13 @@ def _figures(record: IsoCalibration, labels: Mapping[str, str]) -> Rows:
     ]
 
 
-def _by_channel(template: str, record: IsoGain, values: Iterable[str]) -> Rows:
-    """Give each CFA channel's text the template's name for it."""
+def _label_channels(template: str, record: IsoGain, values: Iterable[str]) -> Rows:
+    """Label each CFA channel's text by the template, filled with the channel's name."""
     return [(template.format(name), value) for name, value in zip(record.channels, values, strict=True)]
 
 
-def _gain(record: IsoGain) -> dict[str, Any]:
+def _group_gain(record: IsoGain) -> dict[str, Any]:
+    """Gather the gain's figures and its photon transfer plot; without flats, a note says so."""
     title, transfer = "System gain K", record.transfer
     numbers = [] if transfer is None and record.gain is None else [("K [DN/e⁻]", format_figure(record.gain, ""))]
     if transfer is None:
@@ -216,7 +219,7 @@ def _gain(record: IsoGain) -> dict[str, Any]:
             note = "K is stated: there is no photon transfer line that gives it."
         return _group(record, title, numbers, "gain", note=note)
     if record.channel_gains is not None:
-        numbers += _by_channel("K of {}", record, [format_figure(gain, "") for gain in record.channel_gains])
+        numbers += _label_channels("K of {}", record, [format_figure(gain, "") for gain in record.channel_gains])
     if record.spatial_gain is not None:
         numbers.append(("K as published", format_figure(record.spatial_gain, "")))
     numbers += [
@@ -227,10 +230,11 @@ def _gain(record: IsoGain) -> dict[str, Any]:
     return _group(record, title, numbers, "gain", plots=[drawn.transfer_plot(record, transfer)])
 
 
-def _colour_bias(record: IsoCalibration) -> dict[str, Any]:
+def _group_colour_bias(record: IsoCalibration) -> dict[str, Any]:
+    """Gather the mean of each CFA channel in bias frames, and their plot."""
     bias, blacks = record.colour_bias, sorted(set(record.sensor.black_level_dn))
     numbers = [
-        *([] if bias is None else _by_channel("{}", record, map(format_figure, bias))),
+        *([] if bias is None else _label_channels("{}", record, map(format_figure, bias))),
         ("Recorded black", f"{join_words([f'{level:g}' for level in blacks])} DN"),
         ("Bias frames", str(record.bias.frames)),
     ]
@@ -239,10 +243,11 @@ def _colour_bias(record: IsoCalibration) -> dict[str, Any]:
     )
 
 
-def _rows(record: IsoCalibration) -> dict[str, Any]:
+def _group_rows(record: IsoCalibration) -> dict[str, Any]:
+    """Gather the figures and plots of row noise."""
     rows, columns = record.rows.rows, record.rows.columns
     numbers = [
-        *_figures(record, _ROW_NOISE),
+        *_format_figures(record, _ROW_NOISE),
         ("Fixed rows", f"{digits(rows.fixed_sigma_dn)} DN"),
         ("Fixed columns", f"{digits(columns.fixed_sigma_dn)} DN"),
         ("Shapiro-Wilk p", digits(rows.shapiro_p, 2)),
@@ -252,18 +257,20 @@ def _rows(record: IsoCalibration) -> dict[str, Any]:
     return _group(record, "Row noise", numbers, "row noise", plots=plots, pictures=[drawn.spectrum_picture(record)])
 
 
-def _read_noise(record: IsoCalibration) -> dict[str, Any]:
+def _group_read_noise(record: IsoCalibration) -> dict[str, Any]:
+    """Gather the figures of the read noise, and its probability plots."""
     numbers: Rows = []
     plots: list[Plot] = []
     if record.read is not None and record.plot is not None:
-        numbers = [*_figures(record, _READ_NOISE), ("Residuals", format_count(record.read.residuals))]
+        numbers = [*_format_figures(record, _READ_NOISE), ("Residuals", format_count(record.read.residuals))]
         shape = record.tukey_lambda
         plots = [] if shape is None else [drawn.ppcc_plot(record, record.read, shape)]
         plots += drawn.read_noise_plots(record, record.read, record.plot)
     return _group(record, "Read noise", numbers, "shape", "read noise", plots=plots)
 
 
-def _reproduction(record: IsoCalibration) -> dict[str, Any]:
+def _group_reproduction(record: IsoCalibration) -> dict[str, Any]:
+    """Gather the comparison of a kept-out bias frame with a simulated one."""
     title, kept = "A bias frame kept out, against the model", record.reproduction
     if kept is None:
         note = f"None was kept out: there were only {record.bias_frames} bias frames, and all went into the estimates."
@@ -288,13 +295,14 @@ def _reproduction(record: IsoCalibration) -> dict[str, Any]:
     )
 
 
-def _pattern(record: IsoCalibration) -> dict[str, Any]:
+def _group_pattern(record: IsoCalibration) -> dict[str, Any]:
+    """Gather defects, DSNU and the shading picture."""
     pattern = record.pattern
     uneven = zip(pattern.dsnu_dn, pattern.dsnu_error_dn, strict=True)
     numbers = [
         ("Defects", f"{format_count(pattern.defects)}, {digits(100 * pattern.defects / pattern.pixels, 2)} %"),
         ("Off their level", format_count(pattern.off_level)),
         ("Never changing", format_count(pattern.stuck)),
-        *_by_channel("DSNU of {}", record, [format_measured(*values, "DN") for values in uneven]),
+        *_label_channels("DSNU of {}", record, [format_measured(*values, "DN") for values in uneven]),
     ]
     return _group(record, "What stays from frame to frame", numbers, pictures=[drawn.shading_pictures(record)])

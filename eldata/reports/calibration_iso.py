@@ -74,6 +74,7 @@ def transfer_plot(record: IsoGain, transfer: PhotonTransfer) -> Plot:
         alt += f" The published single-frame method gives {digits(spatial_gain.value, 4)} DN/e⁻."
 
     def draw(main: Axes, below: Axes, theme: Theme) -> None:
+        """Draw variances and fitted lines above, the deviations from the lines below."""
         furthest = transfer_lines(main, below, record.channels, transfer.channels, theme)
         if spatial is not None:
             _draw_single_frames(main, spatial, theme)
@@ -116,6 +117,7 @@ def bias_plot(record: IsoCalibration, figures: Sequence[MeasuredFigure]) -> Plot
     )
 
     def draw(main: Axes, below: Axes, theme: Theme) -> None:
+        """Draw the channels' means above, the frames' own means below."""
         frames = spread_evenly(bias.frames, _FRAMES_SHOWN)
         across = np.linspace(-0.3, 0.3, frames.size) if frames.size > 1 else np.zeros(1)
         main.axhline(0, color=theme.theory)
@@ -173,6 +175,7 @@ def line_spectrum_plot(record: IsoCalibration) -> Plot:
     )
 
     def draw(axes: Axes, theme: Theme) -> None:
+        """Draw the power of column and row means, over the pixels' own."""
         variance = record.rows.pixel_variance_dn2 or 1.0
         of_pixels = variance / columns.deviations_dn.shape[1]
         for line, alone, colour, style, name in (
@@ -213,6 +216,7 @@ def ppcc_plot(record: IsoCalibration, read: ReadNoise, shape: MeasuredFigure) ->
     )
 
     def draw(axes: Axes, theme: Theme) -> None:
+        """Draw the correlation over the shape; mark its maximum, the reported shape and the Gaussian."""
         shapes, correlations = read.curve
         best, at = read.highest_correlation, read.ppcc_lambda_plain
         axes.plot(shapes, correlations, color=theme.found)

@@ -30,24 +30,25 @@ _CHANNEL_STEP = 0.07  # of ln ISO: side by side, where the channels' values are 
 def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
     """Draw every plot over the ISOs that there is data for."""
     isos = calibration.isos
-    plots = [_scale_plot(panel, _left_out(isos, "gain", panel.quantity)) for panel in calibration.scale_panels]
+    plots = [_plot_scale(panel, _name_gaps(isos, "gain", panel.quantity)) for panel in calibration.scale_panels]
     if with_gain := [record for record in calibration.all_isos if record.gain is not None]:
-        plots.append(_gain_plot(with_gain, calibration.usual_gain_per_iso, _left_out(calibration.all_isos, "gain")))
+        plots.append(_plot_gain(with_gain, calibration.usual_gain_per_iso, _name_gaps(calibration.all_isos, "gain")))
     if shaped := [record for record in isos if record.tukey_lambda is not None]:
-        plots.append(_lambda_plot(shaped, _left_out(isos, "shape")))
+        plots.append(_plot_shape(shaped, _name_gaps(isos, "shape")))
     if biased := [record for record in isos if record.colour_bias is not None]:
-        more = _left_out(isos, "colour bias")
-        plots += [_bias_plot(biased, more), _frames_plot(biased, more)]
+        more = _name_gaps(isos, "colour bias")
+        plots += [_plot_colour_bias(biased, more), _plot_frame_bias(biased, more)]
     return tuple(plots)
 
 
-def _left_out(isos: Sequence[IsoGain], *figures: str) -> str:
-    """Return which ISOs a plot lacks, since a figure that it needs is withheld, as a further sentence."""
+def _name_gaps(isos: Sequence[IsoGain], *figures: str) -> str:
+    """Name the ISOs that a plot lacks because a figure is withheld, as a further sentence; empty if none."""
     names = [f"{record.iso:g}" for record in isos if not record.withheld.isdisjoint(figures)]
     return f" Not shown, since withheld: ISO {', '.join(names)}." if names else ""
 
 
-def _scale_plot(panel: ScalePanel, more: str) -> Plot:
+def _plot_scale(panel: ScalePanel, more: str) -> Plot:
+    """Plot one noise component's scale over the gain K, with the fitted line of each gain mode."""
     name, lines, points = panel.name, panel.lines, panel.points
     scales = [scale for _, scale, _ in points]
     span = f"from {digits(min(scales))} to {digits(max(scales))} DN"
@@ -63,6 +64,7 @@ def _scale_plot(panel: ScalePanel, more: str) -> Plot:
     alt += "." if lines else ""
 
     def draw(axes: Axes, theme: Theme) -> None:
+        """Draw the scales, fitted lines and bands."""
         scale_over_gain(axes, name, panel.spans, points, theme)
 
     options: dict[str, Any] = {"name": f"sigma-{name.lower()}", "words": {"name": name}, "more": more}
@@ -75,13 +77,15 @@ def _plot_by_iso(
     """Return a plot, with the words of its kind, whose (lower) axes have a logarithmic axis of ISOs."""
 
     def draw_with_isos(*axes_and_theme: Any) -> None:
+        """Draw, then give the lower axes ISO ticks."""
         draw(*axes_and_theme)
         iso_axis(axes_and_theme[-2], isos)
 
     return draw_plot("calibration", kind, alt, draw_with_isos, ratio=ratio, more=more)
 
 
-def _gain_plot(known: Sequence[IsoGain], usual: float, more: str) -> Plot:
+def _plot_gain(known: Sequence[IsoGain], usual: float, more: str) -> Plot:
+    """Plot the gain K over the ISO, and below it K / ISO over its median."""
     by_iso = {record.iso: gain for record in known if (gain := record.gain) is not None}
     isos, gains = list(by_iso), [gain.value for gain in by_iso.values()]
     errors = [bar(gain.error) for gain in by_iso.values()]
@@ -92,6 +96,7 @@ def _gain_plot(known: Sequence[IsoGain], usual: float, more: str) -> Plot:
     )
 
     def draw(main: Axes, below: Axes, theme: Theme) -> None:
+        """Draw K above, and K / ISO over its median below."""
         gain_over_iso(main, isos, gains, errors, usual, theme)
         below.axhline(1, color=theme.theory, linewidth=1)
         bars(below, isos, relative, apart, theme)
@@ -103,7 +108,8 @@ def _gain_plot(known: Sequence[IsoGain], usual: float, more: str) -> Plot:
     return _plot_by_iso("gain", isos, alt, draw, ratio=1.8, more=more)
 
 
-def _lambda_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
+def _plot_shape(isos: Sequence[IsoCalibration], more: str) -> Plot:
+    """Plot the read noise's Tukey-lambda shape over the ISO."""
     figures = [record.figures["tukey_lambda"] for record in isos]
     at, shapes = [record.iso for record in isos], [figure.value for figure in figures]
     alt = (
@@ -112,6 +118,7 @@ def _lambda_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
     )
 
     def draw(axes: Axes, theme: Theme) -> None:
+        """Draw the shape at each ISO, and lines at the Gaussian and the logistic shape."""
         axes.axhline(GAUSSIAN_LAMBDA, color=theme.ink, linewidth=1, linestyle=":", label="Gaussian, 0.14")
         axes.axhline(0, color=theme.theory, linewidth=1, label="logistic, 0")
         bars(axes, at, shapes, [bar(figure.error) for figure in figures], theme)
@@ -122,7 +129,8 @@ def _lambda_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
     return _plot_by_iso("lambda", at, alt, draw, more=more)
 
 
-def _bias_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
+def _plot_colour_bias(isos: Sequence[IsoCalibration], more: str) -> Plot:
+    """Plot the colour bias of each channel over the ISO."""
     channels = list(zip(*(record.colour_bias or () for record in isos), strict=True))
     values = [figure.value for channel in channels for figure in channel]
     alt = (
@@ -131,6 +139,7 @@ def _bias_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
     )
 
     def draw(axes: Axes, theme: Theme) -> None:
+        """Draw the channels' biases side by side at each ISO."""
         axes.axhline(0, color=theme.theory, linewidth=1)
         for place, (name, channel) in enumerate(zip(isos[0].channels, channels, strict=True)):
             aside = math.exp((place - (len(channels) - 1) / 2) * _CHANNEL_STEP)
@@ -146,7 +155,7 @@ def _bias_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
     return _plot_by_iso("biases", [record.iso for record in isos], alt, draw, more=more)
 
 
-def _frames_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
+def _plot_frame_bias(isos: Sequence[IsoCalibration], more: str) -> Plot:
     """Draw the histogram of the frames' own colour biases (figure 4 of the paper); each ISO weighs alike."""
     values = np.concatenate([record.bias.frame_bias_dn for record in isos])
     weights = np.concatenate([np.full(record.bias.frames, 1 / record.bias.frames) for record in isos])
@@ -157,6 +166,7 @@ def _frames_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
     )
 
     def draw(axes: Axes, theme: Theme) -> None:
+        """Draw a histogram for each channel."""
         edges = [place * _BIN_DN for place in range(low, high + 1)]
         for channel, name in enumerate(isos[0].channels):
             style: dict[str, Any] = {"color": theme.channels[channel], "linestyle": _LINES[channel], "label": name}

@@ -75,7 +75,7 @@ def write_comparison_page(
 
 
 def comparison_page(comparison: Comparison, drawn: Sequence[DrawnImage] = ()) -> str:
-    """Return the page; the same comparison gives the same text."""
+    """Render the page of a comparison; the same comparison gives the same text."""
     first, *others = comparison.names
     return render_with_script(
         "compare.html",
@@ -86,22 +86,23 @@ def comparison_page(comparison: Comparison, drawn: Sequence[DrawnImage] = ()) ->
         summary=f"{summary_of(comparison)}.",
         warnings=comparison.warnings,
         note=statistics_note(comparison),
-        means=_means_table(comparison),
-        sections=[_section(comparison, index) for index in range(len(others))],
+        means=_tabulate_means(comparison),
+        sections=[_compare_method(comparison, index) for index in range(len(others))],
         contests=_differences_table(comparison) if comparison.contests else None,
         contests_note=contests_note(comparison),
-        looking=_looking(comparison, drawn) if drawn else None,
+        looking=_gather_viewer(comparison, drawn) if drawn else None,
         facets=_facets(comparison),
         gradient=heat_gradient(),
-        rows=_rows(comparison),
+        rows=_tabulate_images(comparison),
         methods=[
-            {"name": name, "id": f"method-{index}", "fields": _fields(result)}
+            {"name": name, "id": f"method-{index}", "fields": _list_result_facts(result)}
             for index, (name, result) in enumerate(comparison.results.items(), start=1)
         ],
     )
 
 
-def _fields(result: EvaluationResult) -> list[tuple[str, str]]:
+def _list_result_facts(result: EvaluationResult) -> list[tuple[str, str]]:
+    """List name and value of a result's source, number of scored images, protocol and provenance."""
     return [
         ("file", result.source),
         ("scored", f"{result.scored} of {result.expected} {result.kind.counted}"),
@@ -113,7 +114,8 @@ def _fields(result: EvaluationResult) -> list[tuple[str, str]]:
 # --- tables -------------------------------------------------------------------------------------------------------
 
 
-def _means_table(comparison: Comparison) -> Table:
+def _tabulate_means(comparison: Comparison) -> Table:
+    """Lay out the methods' mean scores; the best of each column is marked."""
     means = means_table(comparison, "×")
     rows = [
         (
@@ -125,13 +127,14 @@ def _means_table(comparison: Comparison) -> Table:
     return Table(means.header, tuple(rows), rules=means.rules)
 
 
-def _section(comparison: Comparison, index: int) -> dict[str, Any]:
+def _compare_method(comparison: Comparison, index: int) -> dict[str, Any]:
+    """Gather verdict, differences, plots, wins and losses of one method against the first."""
     first, other = comparison.names[0], comparison.names[index + 1]
     wins, losses = comparison.extremes(index)
     return {
         "title": f"{other} against {first}",
         "id": f"gain-{index + 1}",
-        "verdict": _verdict(comparison.whole.gains[index]["psnr_db"], first, other),
+        "verdict": _judge_difference(comparison.whole.gains[index]["psnr_db"], first, other),
         "table": _differences_table(comparison, index),
         "plots": gain_plots(comparison, index),
         "wins": _extremes_table(wins, comparison),
@@ -140,7 +143,7 @@ def _section(comparison: Comparison, index: int) -> dict[str, Any]:
 
 
 def _differences_table(comparison: Comparison, index: int | None = None) -> Table:
-    """Return the differences of the method of this index among all but the first; without one, each against each."""
+    """Lay out the differences between the first method and the one at this index; without one, each against each."""
     kind = comparison.kind
     if index is None:
         table, gains, labels, each = contests_table(comparison), [one.gains for one in comparison.contests], 2, 4
@@ -164,7 +167,8 @@ def _look(sign: float) -> str:
     return "ok" if sign > 0 else "off" if sign < 0 else ""
 
 
-def _verdict(difference: Difference, first: str, other: str) -> str:
+def _judge_difference(difference: Difference, first: str, other: str) -> str:
+    """Say which method has the better mean PSNR, and whether the choice of scenes explains it."""
     interval = difference.interval
     if not math.isfinite(interval.mean):
         return f"The mean difference of PSNR is not finite: a prediction equals its reference, of {first} or {other}."
@@ -201,7 +205,8 @@ def _extremes_table(pairings: Sequence[tuple[UnitScore, UnitScore]], comparison:
     return Table((kind.unit, *(() if kind.is_of_clips else FACTS), "PSNR [dB]", "SSIM"), tuple(rows))
 
 
-def _rows(comparison: Comparison) -> Table:
+def _tabulate_images(comparison: Comparison) -> Table:
+    """Lay out every image's PSNR by each method, worst first, and the differences from the first method."""
     kind = comparison.kind
     first, *others = comparison.names
     header = [kind.unit, "camera", "scene", *(() if kind.is_of_clips else FACTS), f"{first} dB"]
@@ -227,7 +232,7 @@ def _rows(comparison: Comparison) -> Table:
 
 
 def _facets(comparison: Comparison) -> dict[str, list[str]]:
-    """Return the columns that images are filtered by, with their values in the order of the choice."""
+    """List the columns that filter images, with their values in the order of the choice."""
     scores = [of[0] for of in comparison.images]
     columns = {
         "camera": [score.camera for score in scores_in_order(scores, comparison.first.dataset)],
@@ -240,13 +245,13 @@ def _facets(comparison: Comparison) -> dict[str, list[str]]:
     return {name: list(dict.fromkeys(values)) for name, values in columns.items()}
 
 
-def _looking(comparison: Comparison, drawn: Sequence[DrawnImage]) -> dict[str, Any]:
+def _gather_viewer(comparison: Comparison, drawn: Sequence[DrawnImage]) -> dict[str, Any]:
     """Gather the viewer's panels, and addresses, sizes and words of each image.
 
     A panel has a key, what it is called, the key of the error below it, and the key of a keyboard that chooses it.
     """
     images = [
-        _looked_at(place, scores, image, comparison)
+        _view_image(place, scores, image, comparison)
         for place, (scores, image) in enumerate(zip(comparison.images, drawn, strict=True))
     ]
     panels = [
@@ -265,7 +270,8 @@ def _looking(comparison: Comparison, drawn: Sequence[DrawnImage]) -> dict[str, A
     }
 
 
-def _looked_at(place: int, scores: Sequence[UnitScore], image: DrawnImage, comparison: Comparison) -> dict[str, Any]:
+def _view_image(place: int, scores: Sequence[UnitScore], image: DrawnImage, comparison: Comparison) -> dict[str, Any]:
+    """Gather an image's facts, scores, picture files and crop for the viewer."""
     first, kind = scores[0], comparison.kind
     iso, factor = (fact_cells(first, kind) or (Cell("–"), Cell("")))[:2]
     facts = [f"{first.camera}, {first.scene}", f"ISO {iso.text}" if first.iso else "", factor.text]
@@ -291,7 +297,7 @@ def _looked_at(place: int, scores: Sequence[UnitScore], image: DrawnImage, compa
 
 
 def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
-    """Return the plots of the method of this index among all but the first; none of no finite scores.
+    """Draw the plots of one method against the first, ``index`` 0 for the second; none without finite scores.
 
     They show the mean differences of groups with their intervals; each image by both methods; and its difference over
     the first one's score.
@@ -311,11 +317,13 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
     reach = min(values) - margin, max(values) + margin
 
     def draw_groups(axes: Axes, theme: Theme) -> None:
+        """Draw each group's mean difference of PSNR, with its interval."""
         means = [group.gains[index]["psnr_db"].interval.ends for group in groups]
         mean_gains(axes, [group.name for group in groups], [(other, means)], theme)
         axes.set_xlabel("difference of PSNR [dB]")
 
     def draw_both(axes: Axes, theme: Theme) -> None:
+        """Draw every image's PSNR by one method over the other's."""
         axes.plot(reach, reach, color=theme.theory, linewidth=1)
         draw_points(axes, finite, theme, alpha=0.6)
         axes.set(xlim=reach, ylim=reach)
@@ -323,6 +331,7 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
         axes.set_ylabel(f"{short(other)} [dB]", parse_math=False)
 
     def draw_gains(axes: Axes, theme: Theme) -> None:
+        """Draw every image's difference of PSNR over its PSNR by the first method."""
         axes.axhline(0, color=theme.theory, linewidth=1)
         draw_points(axes, gains, theme, alpha=0.6)
         axes.set_xlabel(f"{short(first)} [dB]", parse_math=False)

@@ -89,7 +89,7 @@ def write_evaluation_page(
 
 
 def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
-    """Return the page; the same result and pictures give the same text."""
+    """Render the page of an evaluation; the same result and pictures give the same text."""
     kind = result.kind
     ids = {score.path: f"picture-{index}" for index, (_, score, _) in enumerate(shown, start=1)}
     plots = score_plots(result)
@@ -118,7 +118,7 @@ def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
             rank: [_viewer(ids[score.path], score, image, result) for of, score, image in shown if of == rank]
             for rank in dict.fromkeys(rank for rank, _, _ in shown)
         },
-        rows=_rows(result, ids),
+        rows=_tabulate_images(result, ids),
         protocol_fields=[
             (name, in_words(name, value) if name in FIELDS else field_text(value))
             for name, value in result.protocol.as_dict().items()
@@ -169,7 +169,7 @@ def fact_cells(score: UnitScore, kind: Kind) -> tuple[Cell, ...]:
 
 
 def field_text(value: Any) -> str:
-    """Return a field of a protocol or of a provenance as a page shows it."""
+    """Write a field of a protocol or of a provenance for a page."""
     if isinstance(value, str):
         return value or "–"
     if isinstance(value, (list, dict)) and not value:
@@ -191,23 +191,26 @@ def table_with_intervals(result: EvaluationResult) -> Table:
         intervals = [result.interval(row, metric.name) for metric in metrics]
         cells = [coverage, str(intervals[0].scenes)]
         for mean, interval, metric in zip(means, intervals, metrics, strict=True):
-            cells += [mean, _interval_text(interval, metric)]
+            cells += [mean, _format_interval(interval, metric)]
         texts.append(cells)
     names = [counted, "scenes", *(name for head in heads for name in (head, INTERVAL))]
     paper = result.lay_out(names, texts, "×")
     rules = tuple(range(2, len(names), 2)) if paper.transposed else paper.rules
-    return Table(paper.header, _cells(paper.rows), rules=rules)
+    return Table(paper.header, _make_cells(paper.rows), rules=rules)
 
 
-def _cells(rows: Iterable[tuple[str, ...]]) -> tuple[tuple[Cell, ...], ...]:
+def _make_cells(rows: Iterable[tuple[str, ...]]) -> tuple[tuple[Cell, ...], ...]:
+    """Make table cells of rows of text, with a dash for "-"."""
     return tuple(tuple(Cell("–" if text == "-" else text) for text in row) for row in rows)
 
 
-def _interval_text(interval: Interval, metric: Figure) -> str:
+def _format_interval(interval: Interval, metric: Figure) -> str:
+    """Write an interval's ends in the metric's digits; a dash if it is not known."""
     return signed(f"{metric.format(interval.low)} to {metric.format(interval.high)}") if interval.is_known else "–"
 
 
-def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
+def _tabulate_images(result: EvaluationResult, ids: dict[str, str]) -> Table:
+    """Lay out every image's scores, linked to its pictures where ``ids`` has its path."""
     kind = result.kind
     rows = []
     for score in scores_in_order(result.scores, result.dataset):
@@ -234,13 +237,13 @@ def _method(result: EvaluationResult) -> str:
 
 
 def _tiles(result: EvaluationResult) -> list[tuple[str, str, str]]:
-    """Return names, values and notes of what the page shows large."""
+    """List names, values and notes of the figures that the page shows large."""
     if not result.scores:
         return []
     tiles = []
     for metric in result.kind.metrics:
         interval = result.interval(result.whole, metric.name)
-        note = f"{INTERVAL.split()[0]}: {_interval_text(interval, metric)}" if interval.is_known else TOO_FEW
+        note = f"{INTERVAL.split()[0]}: {_format_interval(interval, metric)}" if interval.is_known else TOO_FEW
         tiles.append((metric.label, f"{metric.format(interval.mean)} {metric.unit}".rstrip(), note))
     cameras = len({score.camera for score in result.scores})
     return [
@@ -263,6 +266,7 @@ def _viewer(name: str, score: UnitScore, image: DrawnImage, result: EvaluationRe
     times = ("", "") if score.ratio is None else (f" ×{score.ratio:g}", f" times {score.ratio:g}")
 
     def layers(jpegs: dict[str, bytes], place: str) -> list[tuple[str, str, str, bytes]]:
+        """Label each JPEG of an image: key, label, alternative text, JPEG."""
         about = f"of {image.frame}: {score.psnr_db:.2f} dB, {place}"
         known = [(*_LAYERS[layer], jpeg) for layer, jpeg in jpegs.items()]
         return [
@@ -319,6 +323,7 @@ def _strips_plot(metric: Figure, drawn: Sequence[Strip], by: Grouping, kind: Kin
     values = [value for strip in drawn for value in strip.values]
 
     def draw(axes: Axes, theme: Theme) -> None:
+        """Draw the metric's values, a column for each group."""
         strips(axes, drawn, theme)
         axes.set_ylabel(metric.heading)
 
@@ -338,12 +343,14 @@ def _rescaling_plots(scores: Sequence[UnitScore], drawn: Sequence[Strip], units:
     points = [(score.ratio, score.rescale, score.psnr_db) for score in scores]
 
     def draw_factors(axes: Axes, theme: Theme) -> None:
+        """Draw the rescaling factors, a column for each group."""
         _draw_exposure_band(axes, theme, horizontal=True)
         strips(axes, drawn, theme)
         _set_up_factors(axes, factors)
         axes.set_ylabel("rescaled by")
 
     def draw_scores(axes: Axes, theme: Theme) -> None:
+        """Draw the PSNR over the rescaling factor."""
         _draw_exposure_band(axes, theme, horizontal=False)
         draw_points(axes, points, theme, alpha=0.7)
         _set_up_factors(axes, factors, horizontal=True)
@@ -358,6 +365,7 @@ def _rescaling_plots(scores: Sequence[UnitScore], drawn: Sequence[Strip], units:
 
 
 def _draw_exposure_band(axes: Axes, theme: Theme, *, horizontal: bool) -> None:
+    """Draw the usual range of the rescaling factor, and a line at 1."""
     (axes.axhspan if horizontal else axes.axvspan)(*_USUAL, color=theme.theory, alpha=0.13, linewidth=0)
     (axes.axhline if horizontal else axes.axvline)(1, color=theme.theory, linewidth=1)
 

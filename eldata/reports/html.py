@@ -37,7 +37,7 @@ def render_page(template: str, templates: Path = TEMPLATES, /, **values: object)
     It states the template's name as its generator, by which the next run knows its own page.
     """
     page = Path(template).stem
-    return _environment(templates).get_template(template).render(version=__version__, page=page, **values)
+    return _make_environment(templates).get_template(template).render(version=__version__, page=page, **values)
 
 
 def render_with_script(template: str, *more: str, **values: object) -> str:
@@ -57,7 +57,8 @@ def plot_words(report: str) -> Mapping[str, Any]:
 
 
 @cache
-def _environment(templates: Path) -> jinja2.Environment:
+def _make_environment(templates: Path) -> jinja2.Environment:
+    """Make a jinja2 environment that escapes every text and refuses undefined names."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(templates),
         autoescape=True,
@@ -196,7 +197,7 @@ def draw_plot(
 
 
 def _slim_svg(svg: str) -> str:
-    """Return the same picture in about half the characters: a page holds a hundred of them."""
+    """Shorten an SVG to about half its characters, the picture unchanged: a page holds a hundred of them."""
     svg = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"\s+", " ", svg).replace("> <", "><")
     # A hundredth of a point cannot be seen. Scales of letters stay as they are.
@@ -218,9 +219,11 @@ def _slim_svg(svg: str) -> str:
 
 
 def _group_points(points: re.Match[str]) -> str:
+    """Move the attributes that points share to a group around them."""
     return f"<g {points[1]}>{points[0].replace(' ' + points[1], '')}</g>"
 
 
 def _join_lines(lines: re.Match[str]) -> str:
+    """Join lines of the same look into one SVG path."""
     outline = "".join(re.findall(r' d="([^"]*)"', lines[0]))
     return f'<path d="{outline}" {lines[1]}/>'

@@ -98,7 +98,7 @@ def show_images(ranked: Iterable[tuple[str, UnitScore, ScoredImage]]) -> tuple[t
     ``whole`` are prediction and error of the whole image; empty if the centre is all of it.
     """
     decoded = [(rank, score, image.decoded()) for rank, score, image in ranked]
-    limit = error_limit([seen.errors[0][_centre(seen.errors[0].shape)] for _, _, seen in decoded])
+    limit = error_limit([seen.errors[0][_cut_centre(seen.errors[0].shape)] for _, _, seen in decoded])
     images: list[DrawnImage] = []
     for quality in _QUALITIES:
         images = [_draw_centre(seen, limit, quality) for _, _, seen in decoded]
@@ -109,8 +109,9 @@ def show_images(ranked: Iterable[tuple[str, UnitScore, ScoredImage]]) -> tuple[t
 
 
 def _draw_centre(seen: SeenImage, limit: float, quality: int) -> DrawnImage:
+    """Draw an image's centre, and all of it smaller where the centre is not the whole."""
     height, width = seen.reference.shape[1:]
-    part = _centre((height, width))
+    part = _cut_centre((height, width))
     whole = {}
     if part != (slice(0, height), slice(0, width)):
         reduced = seen.rendered(_reduce(seen.predictions[0], _WHOLE_WIDTH))
@@ -120,7 +121,8 @@ def _draw_centre(seen: SeenImage, limit: float, quality: int) -> DrawnImage:
     return DrawnImage(seen.frame, layers, whole, part, (height, width), seen.brighter, limit)
 
 
-def _centre(shape: tuple[int, ...]) -> tuple[slice, slice]:
+def _cut_centre(shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Cut the middle of an image: its rows and columns, :data:`CROP` at most."""
     rows, columns = (min(most, length) for most, length in zip(CROP, shape, strict=True))
     top, left = (shape[0] - rows) // 2, (shape[1] - columns) // 2
     return slice(top, top + rows), slice(left, left + columns)
@@ -157,7 +159,7 @@ def draw_images(
     except OSError as error:
         raise EldataError(f"{folder}: cannot be made for the page's pictures: {error.strerror}") from error
     tasks = [(number, image, folder, whole) for number, image in enumerate(images, start=1)]
-    drawn = tuple((workers or Workers()).run(_draw_beside, tasks, label="pictures", unit="image"))
+    drawn = tuple((workers or Workers()).run(_write_layers, tasks, label="pictures", unit="image"))
     current = {file for image in drawn for file in (*image.layers.values(), *image.whole.values())}
     for path in folder.iterdir():
         if _OURS.fullmatch(path.name) and f"{quote(folder.name)}/{path.name}" not in current:
@@ -165,7 +167,8 @@ def draw_images(
     return drawn
 
 
-def _draw_beside(task: tuple[int, ScoredImage, Path, bool]) -> DrawnImage:
+def _write_layers(task: tuple[int, ScoredImage, Path, bool]) -> DrawnImage:
+    """Draw an image's layers, whole or where the predictions differ most, into JPEG files of the folder."""
     number, image, folder, is_whole = task
     seen = image.decoded()
     height, width = seen.reference.shape[1:]

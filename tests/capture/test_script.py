@@ -81,9 +81,8 @@ def test_from_plan_to_manifest(tmp_path: Path) -> None:
     camera = replace(CAMERA, shutter=Shutter.between("1/8000", "30", Fraction(1, 3), bulb_s=240))
     calibration = plan_calibration(camera, 100, (800,), Fraction(1, 2), bias_frames=4, warm=True)
     metered = {"scene-1": Fraction(4), "scene-2": Fraction(4), "scene-3": Fraction(64)}
-    plan = make_plan(camera, CaptureProtocol(100, (800,), (10,)), metered, calibration).set_aperture(
-        "scene-2", Fraction(8)
-    )
+    plan = make_plan(camera, CaptureProtocol(100, (800,), (10,)), metered, calibration)
+    plan = plan.set_aperture("scene-2", Fraction(8))
     rig = Rig(tmp_path, plan)
     parts = ["--only", "scene-2", "--only", "scene-3", "--only", "calibration"]
     text = rig.write(*parts)

@@ -27,7 +27,7 @@ from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.sources.store import build_store, source_of_dataset
 from eldata.sources.store.read import Store
-from tests.capture.checklist_plans import small
+from tests.capture.simulated import hostile_plan
 from tests.download.helpers import contents, sevenzipped, zipped
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor
 from tests.trees import build_tree
@@ -114,7 +114,7 @@ KINDS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
     "card.json": (copy_of(shipped_manifest("eld").path.with_suffix(".json")), load_card),
     "profile.json": (lambda path: CameraProfile.load("SonyA7S2").save(path), CameraProfile.load),
     "protocol.toml": (write_protocol, load_protocol),
-    "plan.json": (lambda path: small().save(path), Plan.load),
+    "plan.json": (lambda path: hostile_plan().save(path), Plan.load),
     "shading.npz": (write_shading, DarkShading.load),
     "store.h5": (write_store, read_store),
     "x.zip": (lambda path: path.write_bytes(zipped(contents(400))), unpack),

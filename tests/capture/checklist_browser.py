@@ -27,14 +27,7 @@ _OPTIONS = (
     *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--remote-debugging-pipe"),
 )
 _PROBLEMS = ("Network.requestWillBeSent", "Runtime.exceptionThrown", "Log.entryAdded")
-_KEYS = {
-    "Tab": ("Tab", 9, ""),
-    "Enter": ("Enter", 13, "\r"),
-    "Space": (" ", 32, " "),
-    "ArrowDown": ("ArrowDown", 40, ""),
-    "ArrowRight": ("ArrowRight", 39, ""),
-    "ArrowUp": ("ArrowUp", 38, ""),
-}
+_KEYS = {"Tab": (9, ""), "Enter": (13, "\r"), "ArrowRight": (39, "")}
 
 
 class Browser:
@@ -168,8 +161,8 @@ class Page:
             self.send("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
 
     def press(self, name: str, times: int = 1, *, modifiers: int = 0) -> None:
-        key, code, text = _KEYS[name]
-        common = {"key": key, "code": name, "windowsVirtualKeyCode": code, "modifiers": modifiers}
+        code, text = _KEYS[name]
+        common = {"key": name, "code": name, "windowsVirtualKeyCode": code, "modifiers": modifiers}
         for _ in range(times):
             self.send("Input.dispatchKeyEvent", type="keyDown", text=text, **common)
             self.send("Input.dispatchKeyEvent", type="keyUp", **common)

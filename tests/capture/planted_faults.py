@@ -190,7 +190,7 @@ def judged(scene: int, ids: Sequence[int], fault: Fault | None = None) -> tuple[
             camera=CAMERAS[scene // 4 % 2],
             seed=scene,
             picture=picture,
-            digital=lambda _, number, dn: digital[number](dn) if number in digital else dn,
+            digital=digital,
         )
         (group,) = check(manifest, Path(folder) / "data").groups
     return KINDS[scene % 4], group.verdict, [getattr(reason, "name", str(reason)) for reason in group.reasons]

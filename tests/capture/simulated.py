@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from capture.camera import CameraDescription, Shutter
+from capture.camera import EXAMPLE, CameraDescription, Shutter
 from capture.cli import main
 from capture.plan import Plan, make_plan
 from capture.protocol import RELEASED
+from capture.shots import plan_calibration
 from eldata.manifest import verify
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
@@ -43,6 +44,9 @@ CAMERA = CameraDescription(
     base_iso=100,
     shutter=Shutter.between("1/8000", "30", Fraction(1, 3)),
 )
+HOSTILE = (
+    '</script><script>alert("x")</script>\'&<img src=https://evil.example/x.png onerror=alert(1)> | *_`\x1b[31m\u202e'
+)
 START = datetime(2026, 11, 21, 23, 50, 0)  # noqa: DTZ001 # a camera's clock; the shooting runs over midnight
 
 
@@ -57,10 +61,17 @@ class Taken:
     f_number: Fraction | None = None
 
 
-def plan_of(*metered: str, factors: Sequence[int] = (1, 10, 100, 200)) -> Plan:
+def plan_of(*metered: str, isos: Sequence[int] = (800, 1600, 3200), factors: Sequence[int] = (1, 10, 100, 200)) -> Plan:
     """A plan of scene-1, scene-2 ... with these metered times."""
-    protocol = replace(RELEASED, low_light_factors=tuple(factors))
+    protocol = replace(RELEASED, noisy_isos=tuple(isos), low_light_factors=tuple(factors))
     return make_plan(CAMERA, protocol, {f"scene-{n}": Fraction(time) for n, time in enumerate(metered, 1)})
+
+
+def hostile_plan() -> Plan:
+    """Two scenes with notes that mean ill, and calibration frames."""
+    calibration = plan_calibration(EXAMPLE, 100, (100, 800), Fraction(1, 2), bias_frames=4)
+    plan = make_plan(EXAMPLE, RELEASED, {"scene-1": Fraction(2), "scene-2": Fraction(4)}, calibration)
+    return plan.add_note("scene-1", "Bookshelf").add_note("scene-1", HOSTILE)
 
 
 def as_planned(shots: Iterable[Shot]) -> list[Taken]:

@@ -44,18 +44,13 @@ class Shot:
     def lit(self, factor: NDArray[np.float64] | float) -> Shot:
         return replace(self, radiance=(self.radiance * factor).astype(np.float32))
 
-    def moved(self, down: float, right: float = 0.0) -> Shot:
-        return replace(self, radiance=moved(self.radiance, down, right))
+    def moved(self, down: float, right: float) -> Shot:
+        """By splines of the fifth order."""
+        shifted = [ndimage.shift(plane, (down, right), order=5, mode="nearest") for plane in self.radiance]
+        return replace(self, radiance=np.clip(np.stack(shifted), 0, None))
 
     def blurred(self, sigma: float) -> Shot:
         return replace(self, radiance=ndimage.gaussian_filter(self.radiance, (0, sigma, sigma)))
-
-
-def moved(radiance: NDArray[np.float32], down: float, right: float) -> NDArray[np.float32]:
-    """Return the picture moved, by splines of the fifth order."""
-    shifted = [ndimage.shift(plane, (down, right), order=5, mode="nearest") for plane in radiance]
-    result: NDArray[np.float32] = np.clip(np.stack(shifted), 0, None)
-    return result
 
 
 @cache
@@ -73,9 +68,9 @@ def write_scenes(
     size: tuple[int, int] = SIZE,
     ids: Sequence[int] = range(1, 17),
     picture: Callable[[int, tuple[int, int]], NDArray[np.float32]] = radiance,
-    digital: Callable[[int, int, NDArray[np.uint16]], NDArray[np.uint16]] | None = None,
+    digital: Mapping[int, Callable[[NDArray[np.uint16]], NDArray[np.uint16]]] | None = None,
 ) -> Manifest:
-    """Photograph scenes into ``folder``; ``mishaps`` are by scene and frame number, ``digital`` gets both, and DN."""
+    """Photograph scenes into ``folder``; ``mishaps`` are by scene and frame number, ``digital``, of DN, by frame."""
     camera = camera.with_size(*size)
     eld = EldCamera(camera.name, ".dng", BASE_ISO, dict.fromkeys(scenes, METERED_S))
     records = [record for record in eld_records([eld], scenes) if number_of(record) in ids]
@@ -87,8 +82,8 @@ def write_scenes(
         shot = shot if mishap is None else mishap(shot)
         generator = np.random.default_rng([seed, scene, number])
         mosaic = camera.photograph(shot.radiance, shot.exposure_s / METERED_S, shot.iso, generator)
-        if digital is not None:
-            mosaic = digital(scene, number, mosaic)
+        if digital and number in digital:
+            mosaic = digital[number](mosaic)
         path = folder / "data" / "MY" / record.path
         path.parent.mkdir(parents=True, exist_ok=True)
         write_dng(path, mosaic, camera.sensor, shot.exif, compression="none")

@@ -17,7 +17,7 @@ from capture.check.shift import cut_moved_tiles, make_tiles, measure_focus, meas
 from eldata.raw.levels import XTRANS_CFA, bayer_cfa, pack
 from eldata.records import Exposure, Sensor
 from tests.capture.planted_faults import lit, moved, picture
-from tests.capture.simulated_scenes import ALPHA, BETA, Shot, radiance
+from tests.capture.simulated_scenes import ALPHA, BETA, SIZE, Shot, radiance
 from tests.shared import there
 
 if TYPE_CHECKING:
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from capture.check.shift import Shift, Tiles
     from eldata.demo.camera import SimulatedCamera
     from tests.capture.planted_faults import Mishap
-
-SIZE = (384, 576)
 
 
 def photographed(
@@ -150,10 +148,8 @@ def test_a_picture_without_detail_has_no_shift() -> None:
 
 @pytest.mark.parametrize(("sigma", "least", "most"), [(0.5, 0.90, 0.99), (2.0, 0.3, 0.8)])
 def test_focus_falls_with_blur_and_noise_does_not_matter(sigma: float, least: float, most: float) -> None:
-    from scipy import ndimage
-
     light = radiance(2)
-    blurred = ndimage.gaussian_filter(light, (0, sigma, sigma))
+    blurred = Shot(light, 100, Fraction(1), Exposure()).blurred(sigma).radiance
     values = []
     for iso in (100, 3200):  # the latter with some thirty times the noise's variance
         found = shift_of(grey_of(photographed(light, 1, iso=iso)), grey_of(photographed(blurred, 2, iso=iso)))

@@ -19,16 +19,17 @@ from capture.checklist import (
     read_items,
     text_checklist,
 )
-from tests.capture.checklist_plans import small
-from tests.capture.simulated import run_capture
+from tests.capture.simulated import hostile_plan, run_capture
 from tests.reports.pages import assert_well_formed, checked
+from tests.shared import there
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
 
-PLAN = small()
+PLAN = hostile_plan()
+CALIBRATION = there(PLAN.calibration)
 
 
 def every_item() -> list[Mapping[str, str]]:
@@ -76,10 +77,9 @@ def test_page_shows_every_shot(page: str) -> None:
     elements = checked(page).elements
     keys = [attributes["data-row"] for _, attributes in elements if "data-row" in attributes]
     expected = [f"{scene.name}/{row.shot.number}" for scene in PLAN.scenes for row in make_rows(scene.shots)]
-    assert PLAN.calibration is not None
-    expected += [f"calibration/{row.shot.number}" for row in make_rows(PLAN.calibration.shots)]
+    expected += [f"calibration/{row.shot.number}" for row in make_rows(CALIBRATION.shots)]
     assert keys == expected
-    assert sum(row.count for row in make_rows(PLAN.calibration.shots)) == len(PLAN.calibration.shots)
+    assert sum(row.count for row in make_rows(CALIBRATION.shots)) == len(CALIBRATION.shots)
     items = [attributes["data-item"] for _, attributes in elements if "data-item" in attributes]
     assert items == [item["name"] for item in every_item()]
 
@@ -92,10 +92,8 @@ def test_text_and_markdown_hold_what_the_page_holds() -> None:
     for item in every_item():
         assert f"- [ ] {item['text']}. {item['why']}" in text
         assert f"- [ ] {item['text']}. {item['why']}" in markdown
-    assert PLAN.calibration is not None
-    found = [
-        row for shots in (*(scene.shots for scene in PLAN.scenes), PLAN.calibration.shots) for row in make_rows(shots)
-    ]
+    planned = (*(scene.shots for scene in PLAN.scenes), CALIBRATION.shots)
+    found = [row for shots in planned for row in make_rows(shots)]
     lines = [line.split() for line in text.splitlines() if line.startswith("[ ]")]
     assert len(lines) == len(found)
     for line, row in zip(lines, found, strict=True):

@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 import re
 import time
+from dataclasses import replace
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import pytest
 
+from capture.camera import EXAMPLE, Shutter
 from capture.checklist import html_checklist, make_rows
 from capture.cli import main
-from capture.plan import Plan
+from capture.plan import Plan, make_plan
+from capture.protocol import RELEASED, CaptureProtocol
 from tests.capture.checklist_browser import Browser, Page
-from tests.capture.checklist_plans import HOSTILE, plan_of, small
+from tests.capture.simulated import HOSTILE, hostile_plan
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,10 +28,26 @@ pytestmark = pytest.mark.browser
 DOUBLE_TAP_S = 0.55  # longer than what the page takes for one tap too many
 
 
+# Listed times, bulb, and measured speeds, ISO 100 and 800 half a stop apart, so that frames get other times.
+LISTED = Shutter(("1/9000", "1/3333", "1/1000", "1/100", "1/11", "0.3", "1", "1.1", "4.4"), true_times="as-named")
+BULB = Shutter.between("1/8000", "30", Fraction(1, 3), bulb_s=300)
+SPEEDS = ((100, Fraction(90)), (800, Fraction(480)), (1600, Fraction(1280)), (3200, Fraction(2592)))
+PLANS = {
+    "as-named": (replace(EXAMPLE, shutter=LISTED), CaptureProtocol(100, (800, 3200), (1, 2, 10)), Fraction(1)),
+    "bulb": (replace(EXAMPLE, shutter=BULB), RELEASED, Fraction(100)),
+    "measured": (replace(EXAMPLE, true_isos=SPEEDS), replace(RELEASED, repeats=3, references=2), Fraction(2)),
+}
+
+
+def plan_of(name: str) -> Plan:
+    camera, protocol, metered_s = PLANS[name]
+    return make_plan(camera, protocol, {"scene-1": metered_s})
+
+
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("page") / "checklist.html"
-    path.write_text(html_checklist(small()), encoding="utf-8")
+    path.write_text(html_checklist(hostile_plan()), encoding="utf-8")
     return path
 
 
@@ -165,7 +185,7 @@ def test_what_was_taken_at_another_setting_is_to_be_taken_again(page: Page) -> N
     assert page.run("[rows.get('scene-1/1').takenAt, rows.get('scene-1/1').repeats]") == ["1", 1]
 
 
-@pytest.mark.parametrize("name", ["as-named", "bulb", "measured"])
+@pytest.mark.parametrize("name", PLANS)
 def test_every_time_on_the_dial_gives_what_remeter_gives(
     bare: Page, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import shutil
 import sys
 from dataclasses import replace
 from fractions import Fraction
@@ -16,7 +17,7 @@ import pytest
 from capture.capture_errors import CaptureError
 from capture.cli import main
 from capture.manifest import Placement, place_files
-from capture.shots import plan_calibration
+from capture.plan import make_plan
 from eldata.base.files import sha256_of
 from eldata.errors import EldataError
 from eldata.manifest import load_manifest, verify
@@ -90,24 +91,6 @@ def test_the_files_of_a_set_are_right_after_an_interruption(how: str, tmp_path: 
         manifest = load_manifest(field.csv)
         assert len(manifest.records) == len(field.plan.shots)
         assert sorted(path.name for path in field.csv.parent.iterdir()) == ["mine.csv", "mine.json"]
-
-
-def test_calibration_frames(tmp_path: Path) -> None:
-    from eldata import CalibrationFrames
-    from eldata.datasets.calibration_frames import flat_pairs
-
-    plan = plan_of("4", factors=(100,))
-    frames = plan_calibration(CAMERA, 100, (100, 800), Fraction(1, 2), bias_frames=4)
-    field = Field(tmp_path, replace(plan, calibration=frames))
-    field.copy()
-    assert field.problems() == []
-    placed = CalibrationFrames(field.data, manifest=field.csv)
-    pairs, single = flat_pairs(placed.of("flat", 100))
-    assert (len(placed.of("bias", 800)), len(pairs), single) == (4, 6, ())
-    assert {record.path.rpartition("/")[0] for record in placed.records} == {
-        f"AcmeNocturne/{role}/ISO{iso}" for role in ("bias", "flat") for iso in (100, 800)
-    }
-    assert len(CalibrationFrames(field.data)) == len(placed)  # the folders alone are read the same
 
 
 def test_files_may_stay_where_they_are(small: Field) -> None:
@@ -236,6 +219,82 @@ def test_asked_on_a_terminal(tmp_path: Path, answer: str, code: int, monkeypatch
     if not code:
         assert (field.data / "AcmeNocturne/scene-1/IMG_0001.dng").samefile(field.files[0])
         assert field.problems() == []
+
+
+# --- several cards, nights and plans in one set -----------------------------------------------------------------------
+
+
+def test_a_scene_on_two_cards(tmp_path: Path) -> None:
+    """The first card was full in the middle of the second scene, before the reference of what it has."""
+    nights, plan = Nights(tmp_path), plan_of("4", "1", "2")
+    files = shoot(tmp_path / "both", whole_plan(plan))
+    one, two = tmp_path / "one", tmp_path / "two"
+    for card, some in ((one, files[:26]), (two, files[26:])):
+        card.mkdir()
+        for path in some:
+            shutil.move(path, card / path.name)
+    output = nights.add(plan, one, options=("--allow-gaps", "--yes"))
+    assert "scene-2 frame 9: compared with frame 6, as 11 is missing" in output
+    card = nights.csv.with_suffix(".json")
+    card.write_text(card.read_text().replace('"licence": "not stated"', '"licence": "CC0"'))
+    output = nights.add(plan, two)
+    for words in (
+        "has 26 of the plan's 48 shots",
+        "22 of 22 shots have a file",
+        "48 files below",
+        "22 of them new",
+    ):
+        assert words in output
+    assert nights.problems() == []
+    manifest = load_manifest(nights.csv)
+    assert (manifest.card.licence, manifest.card.counts) == ("CC0", {"noisy": 36, "reference": 12})
+    assert manifest.card.title == "3 scenes taken with AcmeNocturne"
+    whole = Nights(tmp_path / "at-once")
+    whole.folder.mkdir()
+    whole.add(plan, one, two, options=())
+    assert whole.csv.read_bytes() == nights.csv.read_bytes()
+    before = nights.csv.read_bytes(), card.read_bytes()
+    output = nights.add(plan, two)  # again: nothing is left to add
+    assert "22 of the files given are in the set already, or copies; 0 are not" in output
+    (two / "broken.dng").write_bytes(b"")
+    assert "broken.dng: " in nights.add(plan, two, code=1)
+    assert (nights.csv.read_bytes(), card.read_bytes()) == before
+
+
+def test_a_second_plan_and_what_cannot_be_joined(tmp_path: Path) -> None:
+    nights, first = Nights(tmp_path), plan_of("4", factors=(100,))
+    second = make_plan(CAMERA, first.protocol, {"scene-2": Fraction(4)})
+    for day, (plan, options) in enumerate(((first, ()), (second, ("--append",)))):
+        shoot(tmp_path / str(day), whole_plan(plan), day=day)
+        nights.add(plan, tmp_path / str(day), options=options)
+    assert {record.scene for record in load_manifest(nights.csv).records} == {"scene-1", "scene-2"}
+
+    # What is not of the set's plan, or of other scenes of the same name, is not mixed in.
+    before = nights.csv.read_bytes()
+    output = nights.add(plan_of("1", factors=(100,)), tmp_path / "0", code=2)
+    assert "IMG_0001.dng, taken at ISO 100, 4 s, and the plan asks for ISO 100, 1 s there" in output
+    new = tmp_path / "new"
+    shoot(new, whole_plan(first), day=7)
+    output = nights.add(first, new, code=1)
+    assert "7 are not\nand every shot of the plan is. Another night's scenes need other names" in output
+    third = make_plan(replace(CAMERA, models=("Nocturne X",)), first.protocol, {"scene-5": Fraction(4)})
+    shoot(tmp_path / "x", [replace(press, model="Nocturne X") for press in whole_plan(third)], day=8)
+    output = nights.add(third, tmp_path / "x", code=2)
+    assert "whose model in EXIF is Nocturne 1, and that of the plan's AcmeNocturne is Nocturne X" in output
+
+    third = make_plan(CAMERA, first.protocol, {"scene-5": Fraction(4)})
+    data, nights.data = nights.data, tmp_path / "elsewhere" / "mine"
+    output = nights.add(third, new, code=2)
+    assert "14 files of 14 are not in the one given, such as AcmeNocturne/scene-1/IMG_0001.dng" in output
+    nights.data, card = data, nights.csv.with_suffix(".json")
+    content = card.read_text()
+    card.write_text(json.dumps(json.loads(content) | {"counts": {"noisy": 2, "reference": 4}}))
+    output = nights.add(third, new, code=2)
+    assert "its card expects {'noisy': 2, 'reference': 4} rows per role, and it has" in output
+    card.write_text(content)
+    assert nights.csv.read_bytes() == before
+    assert not (nights.data / "AcmeNocturne" / "scene-5").exists()
+    assert nights.problems() == []
 
 
 # --- files into their places ----------------------------------------------------------------------------------------

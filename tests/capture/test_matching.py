@@ -17,6 +17,7 @@ from capture.observed import Observed, ObservedFrame
 from capture.shots import plan_calibration
 from tests.capture.simulated import START, Taken, as_planned, plan_of
 from tests.cases import in_one_test
+from tests.shared import there
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,6 +46,12 @@ def session(plan: Plan) -> list[Press]:
     return [press for scene in plan.scenes for press in scene_of(plan, scene.name)]
 
 
+def planned(*metered: str) -> tuple[Plan, list[Press]]:
+    """A plan, and its scenes taken as planned."""
+    plan = plan_of(*metered)
+    return plan, session(plan)
+
+
 def develop(presses: Sequence[Press], *, times: bool = True) -> tuple[Observed, dict[Slot, str]]:
     """What the card holds, and the file of each shot."""
     now = START
@@ -59,17 +66,13 @@ def develop(presses: Sequence[Press], *, times: bool = True) -> tuple[Observed, 
     return Observed(tuple(frames), (), times), truth
 
 
-def names(found: Match) -> dict[Slot, str]:
-    return {slot: frame.path.name for slot, frame in found.frames.items()}
-
-
 def matched(
     plan: Plan, presses: Sequence[Press], *, times: bool = True, repeated: Literal["last", "first"] = "last"
 ) -> Match:
     """Match what the card holds; each shot has its file."""
     observed, truth = develop(presses, times=times)
     found = match(plan, observed, repeated=repeated)
-    assert names(found) == truth
+    assert {slot: frame.path.name for slot, frame in found.frames.items()} == truth
     return found
 
 
@@ -87,8 +90,7 @@ EXTRA = Press(Taken(200, Fraction(1, 30)), None)
 @in_one_test("times", [True, False])
 @in_one_test("metered", [("4",), ("4",) * 10, ("4", "1", "2", "1", "4", "8", "1.3", "0.8", "30", "5")])
 def test_nothing_false_on_a_clean_set(metered: tuple[str, ...], times: bool) -> None:
-    plan = plan_of(*metered)
-    found = matched(plan, session(plan), times=times)
+    found = matched(*planned(*metered), times=times)
     assert kinds(found) == ([] if times else ["no-times"])
     assert not found.doubtful
 
@@ -96,8 +98,7 @@ def test_nothing_false_on_a_clean_set(metered: tuple[str, ...], times: bool) -> 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 31), st.sampled_from(("4 4", "4 1")))
 def test_a_skipped_shot_shifts_nothing(index: int, metered: str) -> None:
-    plan = plan_of(*metered.split())
-    presses = session(plan)
+    plan, presses = planned(*metered.split())
     skipped = presses.pop(index)
     if index == 16:
         presses[16].taken = replace(presses[16].taken, pause_s=200.0)
@@ -109,8 +110,7 @@ def test_a_skipped_shot_shifts_nothing(index: int, metered: str) -> None:
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 31), st.integers(1, 3), st.sampled_from(("last", "first")))
 def test_of_a_repeated_shot_the_last_is_taken(index: int, more: int, which: Literal["last", "first"]) -> None:
-    plan = plan_of("4", "4")
-    presses = session(plan)
+    plan, presses = planned("4", "4")
     press = presses[index]
     # Pauses that grow shorter: only one that is three times the next begins something else.
     copies = [Press(press.taken, None)] + [again(press, None, pause_s) for pause_s in (8.0, 4.0, 3.0)[:more]]
@@ -119,16 +119,14 @@ def test_of_a_repeated_shot_the_last_is_taken(index: int, more: int, which: Lite
     found = matched(plan, presses, repeated=which)
     assert kinds(found) == ["repeated"]
     assert len(found.remarks) == more
-    assert press.slot is not None
     assert {(remark.scene, remark.number) for remark in found.remarks} == {press.slot}
-    assert found.frames[press.slot].path.name in found.remarks[0].text
+    assert found.frames[there(press.slot)].path.name in found.remarks[0].text
 
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 30))
 def test_swapped_shots_are_told_apart(index: int) -> None:
-    plan = plan_of("4", "1")
-    presses = session(plan)
+    plan, presses = planned("4", "1")
     if index == 15:
         return  # of two scenes: nobody does that
     one, other = presses[index], presses[index + 1]
@@ -142,8 +140,7 @@ def test_swapped_shots_are_told_apart(index: int) -> None:
 @settings(deadline=None, max_examples=30)
 @given(st.lists(st.integers(0, 32), min_size=1, max_size=5))
 def test_test_shots_are_named_and_left_out(places: list[int]) -> None:
-    plan = plan_of("4", "1")
-    presses = session(plan)
+    plan, presses = planned("4", "1")
     for place in sorted(places, reverse=True):
         presses.insert(place, EXTRA)
     found = matched(plan, presses)
@@ -164,8 +161,7 @@ def test_scenes_in_any_order(order: list[str]) -> None:
 @in_one_test("metered", ["4 4 4", "4 1 2"])
 def test_a_scene_begun_again(given_up_after: int, metered: str) -> None:
     """The lamp fell over: the second take counts, whole."""
-    plan = plan_of(*metered.split())
-    presses = session(plan)
+    plan, presses = planned(*metered.split())
     attempt = [Press(press.taken, None) for press in presses[16 : 16 + given_up_after]]
     presses[16].taken = replace(presses[16].taken, pause_s=30.0)
     presses[16:16] = attempt
@@ -175,15 +171,13 @@ def test_a_scene_begun_again(given_up_after: int, metered: str) -> None:
 
 
 def test_a_third_of_a_scene_is_that_scene() -> None:
-    plan = plan_of("4", "1")
-    presses = session(plan)
+    plan, presses = planned("4", "1")
     assert len(matched(plan, [*presses[:16], *presses[17:23]]).missing) == 10
 
 
 def test_a_beginning_with_old_settings_is_not_the_end_taken_again() -> None:
     """The pause before it is much longer than the one after it."""
-    plan = plan_of("4", "1")
-    presses = session(plan)
+    plan, presses = planned("4", "1")
     presses[16].taken = replace(presses[16].taken, pause_s=30.0)
     presses.insert(16, again(presses[15], None, 200.0))
     assert len(matched(plan, presses).remarks) == 1
@@ -191,8 +185,7 @@ def test_a_beginning_with_old_settings_is_not_the_end_taken_again() -> None:
 
 @in_one_test("time", [160, 174])  # 0.32 and 0.2 stops off
 def test_a_wrong_setting_is_named(time: int) -> None:
-    plan = plan_of("4")
-    presses = session(plan)
+    plan, presses = planned("4")
     presses[3] = Press(replace(presses[3].taken, exposure_s=Fraction(1, time)), None)
     found = matched(plan, presses)
     assert kinds(found) == ["missing", "wrong-setting"]
@@ -206,8 +199,7 @@ def test_a_wrong_setting_is_named(time: int) -> None:
 def test_calibration_frames() -> None:
     plan = plan_of("4")
     plan = replace(plan, calibration=plan_calibration(plan.camera, 100, (100, 800), Fraction(1, 2)))
-    assert plan.calibration is not None
-    shots = plan.calibration.shots
+    shots = there(plan.calibration).shots
     calibration = [
         Press(taken, ("calibration", shot.number)) for taken, shot in zip(as_planned(shots), shots, strict=True)
     ]

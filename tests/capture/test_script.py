@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pytest
 
 from capture.camera import Shutter
 from capture.cli.script import gphoto_script
@@ -23,20 +22,13 @@ from capture.shots import plan_calibration
 from eldata.manifest.table import load_records
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
-from tests.capture.simulated import CAMERA, SENSOR, run_capture
+from tests.capture.simulated import CAMERA, SENSOR, plan_of, run_capture
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from capture.plan import Plan
-
-SMALL = CaptureProtocol(noisy_isos=(800,), low_light_factors=(10,))  # scenes of three frames
-ENTER = "\n" * 20
-
-
-def small_plan(*metered: str) -> Plan:
-    return make_plan(CAMERA, SMALL, {f"scene-{n}": Fraction(time) for n, time in enumerate(metered, 1)})
 
 
 class Rig:
@@ -70,7 +62,7 @@ class Rig:
         run_capture("script", self.plan, "-o", self.script, *options)
         return self.script.read_text(encoding="utf-8")
 
-    def run(self, typed: str = ENTER) -> subprocess.CompletedProcess[str]:
+    def run(self, typed: str = "\n" * 20) -> subprocess.CompletedProcess[str]:
         path = f"{self.bin}{os.pathsep}{os.environ['PATH']}"
         environment = os.environ | {"PATH": path, "FAKE_GPHOTO2": str(self.camera)}
         return subprocess.run(
@@ -84,17 +76,13 @@ class Rig:
         return [line for line in (self.camera / "calls").read_text().splitlines() if option in line]
 
 
-@pytest.fixture
-def rig(tmp_path: Path) -> Rig:
-    return Rig(tmp_path, small_plan("4", "2"))
-
-
 def test_from_plan_to_manifest(tmp_path: Path) -> None:
     """A scene by the dial, one by the timer, and calibration frames, of the plan's second scene on."""
     camera = replace(CAMERA, shutter=Shutter.between("1/8000", "30", Fraction(1, 3), bulb_s=240))
     calibration = plan_calibration(camera, 100, (800,), Fraction(1, 2), bias_frames=4, warm=True)
     metered = {"scene-1": Fraction(4), "scene-2": Fraction(4), "scene-3": Fraction(64)}
-    plan = make_plan(camera, SMALL, metered, calibration).set_aperture("scene-2", Fraction(8))
+    plan = make_plan(camera, CaptureProtocol(100, (800,), (10,)), metered, calibration)
+    plan = plan.set_aperture("scene-2", Fraction(8))
     rig = Rig(tmp_path, plan)
     parts = ["--only", "scene-2", "--only", "scene-3", "--only", "calibration"]
     text = rig.write(*parts)
@@ -122,7 +110,8 @@ def test_from_plan_to_manifest(tmp_path: Path) -> None:
             assert (set_folder / row.path).read_bytes() == written.read_bytes(), "each frame is what its name said"
 
 
-def test_it_stops_at_what_goes_wrong_and_goes_on_there(rig: Rig) -> None:
+def test_it_stops_at_what_goes_wrong_and_goes_on_there(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, plan_of("4", "2", isos=(800,), factors=(10,)))
     text = rig.write()
     for setting, lacking in (("iso", "800"), ("shutterspeed", "1/20")):
         offered = (rig.camera / "choices" / setting).read_text().split()
@@ -153,7 +142,7 @@ def test_it_stops_at_what_goes_wrong_and_goes_on_there(rig: Rig) -> None:
 
 
 def test_nothing_that_a_plan_says_is_run(tmp_path: Path) -> None:
-    plan = small_plan("4")
+    plan = plan_of("4", isos=(800,), factors=(10,))
     for note in (
         "it's $(touch pwned) `touch pwned`; touch pwned",
         "two\ntouch pwned\n' touch pwned '",

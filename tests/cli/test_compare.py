@@ -4,27 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from tests.cases import in_one_test
-from tests.cli.conftest import Cli, Outcome, assert_golden
+from tests.cli.conftest import Cli, assert_golden
 from tests.cli.test_usage import assert_one_line
 from tests.reports.evaluations import result_data, table_of, written
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-
-    Compare = Callable[..., Outcome]
-
-
-@pytest.fixture
-def compare(eldata: Cli) -> Compare:
-    return partial(eldata, "compare")
 
 
 @pytest.fixture
@@ -45,14 +37,14 @@ def changed(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
 
 
 @pytest.mark.parametrize("form", ["text", "markdown", "latex"])
-def test_tables(form: str, compare: Compare, files: list[Path]) -> None:
-    outcome = compare(*files, "--format", form)
+def test_tables(form: str, eldata: Cli, files: list[Path]) -> None:
+    outcome = eldata("compare", *files, "--format", form)
     assert (outcome.code, outcome.err) == (0, "")
     assert_golden(f"compare-{form}", outcome.out)
 
 
-def test_json_has_the_numbers_and_they_are_right(compare: Compare, files: list[Path], tmp_path: Path) -> None:
-    outcome = compare(*files[:2], "--json", tmp_path / "out.json")
+def test_json_has_the_numbers_and_they_are_right(eldata: Cli, files: list[Path], tmp_path: Path) -> None:
+    outcome = eldata("compare", *files[:2], "--json", tmp_path / "out.json")
     assert outcome.code == 0
     found = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
     first, second = (json.loads(path.read_text(encoding="utf-8"))["images"] for path in files[:2])
@@ -86,18 +78,18 @@ def without_six(data: dict[str, Any]) -> None:
     del data["images"][:6]
 
 
-def test_only_common_images_count_and_that_is_said(compare: Compare, files: list[Path]) -> None:
+def test_only_common_images_count_and_that_is_said(eldata: Cli, files: list[Path]) -> None:
     changed(files[1], without_six)
-    outcome = compare(*files[:2])
+    outcome = eldata("compare", *files[:2])
     assert outcome.code == 0
     assert "2 methods on 90 common images of 8 scenes" in outcome.out
     assert "warning: base has scores of 96 images, of which 90 are common to all" in outcome.err
     assert "warning: unet is incomplete: 90 of 96 pairs were scored" in outcome.err
 
 
-def test_best_is_what_prints_like_the_best(compare: Compare, files: list[Path]) -> None:
+def test_best_is_what_prints_like_the_best(eldata: Cli, files: list[Path]) -> None:
     """Equal methods are both best, in every row."""
-    outcome = compare(files[0], files[0], "--name", "a", "--name", "b", "--format", "markdown")
+    outcome = eldata("compare", files[0], files[0], "--name", "a", "--name", "b", "--format", "markdown")
     assert outcome.out.split("\n\n")[2].count("**") == 2 * 2 * 2 * 7
     assert "+0.00 to +0.00" in outcome.out
 
@@ -105,9 +97,9 @@ def test_best_is_what_prints_like_the_best(compare: Compare, files: list[Path]) 
 # --- what may not compare -----------------------------------------------------------------------------------------
 
 
-def test_another_protocol_is_warned_of(compare: Compare, files: list[Path], tmp_path: Path) -> None:
+def test_another_protocol_is_warned_of(eldata: Cli, files: list[Path], tmp_path: Path) -> None:
     other = written(tmp_path / "other.json", result_data(protocol="eld-uncorrected"))
-    outcome = compare(files[0], other, "--html", tmp_path / "page.html", "--format", "markdown")
+    outcome = eldata("compare", files[0], other, "--html", tmp_path / "page.html", "--format", "markdown")
     assert outcome.code == 0
     assert outcome.err.count("\n") == 1
     assert "base and other may not compare: protocol: rescaling: one factor per image against none" in outcome.err
@@ -127,25 +119,23 @@ def test_another_protocol_is_warned_of(compare: Compare, files: list[Path], tmp_
         ({"excluded_flags": {"misaligned": 6}}, None),  # by the pairs, not by the name of the choice
     ],
 )
-def test_another_set_is_warned_of(
-    change: dict[str, object], words: str | None, compare: Compare, files: list[Path]
-) -> None:
+def test_another_set_is_warned_of(change: dict[str, object], words: str | None, eldata: Cli, files: list[Path]) -> None:
     written(files[1], result_data(gain_db=0.5, method=1))
     changed(files[1], lambda data: data["provenance"].update(change))
-    outcome = compare(*files[:2])
+    outcome = eldata("compare", *files[:2])
     assert outcome.code == 0
     expected = "" if words is None else f"eldata compare: warning: base and unet may not compare: {words}\n"
     assert outcome.err == expected
 
 
-def test_another_choice_of_pairs_is_warned_of(compare: Compare, files: list[Path]) -> None:
+def test_another_choice_of_pairs_is_warned_of(eldata: Cli, files: list[Path]) -> None:
     def choose(data: dict[str, Any]) -> None:
         without_six(data)
         data["coverage"] |= {"pairs": 90, "missing": []}
         data["provenance"]["excluded_flags"] = {"misaligned": 6}
 
     changed(files[1], choose)
-    said = compare(*files[:2]).err
+    said = eldata("compare", *files[:2]).err
     assert "warning: base and unet may not compare: excluded flags: {} against {'misaligned': 6}\n" in said
     assert "warning: base has scores of 96 images, of which 90 are common" in said
 
@@ -153,27 +143,23 @@ def test_another_choice_of_pairs_is_warned_of(compare: Compare, files: list[Path
 # --- what is refused ----------------------------------------------------------------------------------------------
 
 
-def test_nothing_in_common(compare: Compare, files: list[Path], tmp_path: Path) -> None:
+def test_what_is_refused(eldata: Cli, files: list[Path], tmp_path: Path) -> None:
     other = written(tmp_path / "sid.json", result_data(cameras=["Sony"], dataset="sid-sony", protocol="sid"))
-    assert_one_line(compare(files[0], other), "no image is common", "96 of eld", "48 of sid-sony")
-    assert_one_line(compare(files[0], other, "--html", tmp_path / "x.html"), "no image is common")
-    assert not (tmp_path / "x.html").exists()
+    page = tmp_path / "x.html"
+    apart = eldata("compare", files[0], other, "--html", page)
+    assert_one_line(apart, "no image is common", "96 of eld", "48 of sid-sony")
+    assert not page.exists()
+    assert_one_line(eldata("compare", files[0]), "two results or more")
+    assert_one_line(eldata("compare", files[0], files[0]), "two results are called 'base'", "--name")
+    assert_one_line(eldata("compare", *files[:2], "--name", "a"), "found 1 for 2 files")
+    assert_one_line(eldata("compare", files[0], tmp_path / "none.json"), "none.json", "No such file")
+    assert_one_line(eldata("compare", *files[:2], "--format", "word"), "--format", "word", "latex")
 
 
-def test_one_result_names_and_files(compare: Compare, files: list[Path], tmp_path: Path) -> None:
-    assert_one_line(compare(files[0]), "two results or more")
-    assert_one_line(compare(files[0], files[0]), "two results are called 'base'", "--name")
-    assert_one_line(compare(*files[:2], "--name", "a"), "found 1 for 2 files")
-    assert_one_line(compare(files[0], tmp_path / "none.json"), "none.json", "No such file")
-    assert_one_line(compare(*files[:2], "--format", "word"), "--format", "word", "latex")
-    assert_one_line(compare(*files[:2], "--html", tmp_path / "no" / "page.html"), "cannot write", "page.html")
-    assert_one_line(compare(*files[:2], "--json", tmp_path / "no" / "x.json"), "cannot write", "x.json")
-
-
-def test_perfect_predictions(compare: Compare, files: list[Path], tmp_path: Path) -> None:
+def test_perfect_predictions(eldata: Cli, files: list[Path], tmp_path: Path) -> None:
     """An infinite PSNR has no difference: the groups that it is in say so, the others stand."""
     changed(files[1], lambda data: data["images"][0].update({"psnr_db": "inf"}))
-    outcome = compare(*files[:2], "--html", tmp_path / "page.html", "--json", tmp_path / "out.json")
+    outcome = eldata("compare", *files[:2], "--html", tmp_path / "page.html", "--json", tmp_path / "out.json")
     assert (outcome.code, outcome.err) == (0, "")
     groups = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["groups"]
     assert groups[0]["gains"][0]["psnr_db"] == {

@@ -63,6 +63,7 @@ def test_nothing_is_written_among_a_sets_own_files(place: str, eldata: Cli, tree
         "evaluate none --dataset eld --csv",
         "verify none --json",
         "calibrate none --html",
+        "compare a b --json",
         "manifest none -o",
         "pack x -o",
     ],

@@ -1,4 +1,4 @@
-"""What only a process of its own can show: closed pipes and the installed script."""
+"""What only a process of its own can show: the installed script, closed pipes, and kills."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
+
+from tests import kills
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -30,3 +33,16 @@ def test_a_closed_pipe_prints_no_traceback(tree: Tree) -> None:
     result = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S)
     os.close(write)
     assert (result.returncode, result.stderr) == (141, "")
+
+
+@pytest.mark.kill
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are looked for in /proc")
+@pytest.mark.parametrize("names", [list(kills.CASES)[k::3] for k in range(3)], ids="+".join)
+def test_killed_and_run_again(names: list[str]) -> None:
+    """Each kill and Ctrl-C, after some time and before a step, and the undisturbed result once it is run again.
+
+    A seeded pass of tests/kills.py, which kills every command that writes; the whole of it is run by hand.
+    """
+    done = kills.in_a_process("--trials", "2", "--signal", "KILL", "INT", "--", *names)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("2 times SIG") == 2 * len(names)

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,22 +11,14 @@ from tests.cli.test_usage import assert_one_line
 from tests.shared import there
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from tests.cli.conftest import Cli
 
-    from tests.cli.conftest import Cli, Outcome
-
-    Profile = Callable[..., Outcome]
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 
-@pytest.fixture
-def profile(eldata: Cli) -> Profile:
-    return partial(eldata, "profile")
-
-
-def test_show(profile: Profile) -> None:
-    outcome = profile("show", "SonyA7S2", "--json", "shown.json")
+def test_show(eldata: Cli) -> None:
+    outcome = eldata("profile", "show", "SonyA7S2", "--json", "shown.json")
     assert (outcome.code, outcome.err) == (0, "")
     lines = outcome.out.splitlines()
     assert lines[0] == "SonyA7S2"
@@ -38,8 +29,8 @@ def test_show(profile: Profile) -> None:
     assert shown == json.loads(json.dumps(CameraProfile.load("SonyA7S2").as_dict()))
 
 
-def test_list(profile: Profile) -> None:
-    outcome = profile("list", "--json", "list.json")
+def test_list(eldata: Cli) -> None:
+    outcome = eldata("profile", "list", "--json", "list.json")
     assert outcome.code == 0
     lines = outcome.out.splitlines()
     assert [line.split()[0] for line in lines[2:]] == list(shipped_profiles())
@@ -48,7 +39,7 @@ def test_list(profile: Profile) -> None:
     assert [item["profile"] for item in listed] == list(shipped_profiles())
 
 
-def test_import(profile: Profile) -> None:
+def test_import(eldata: Cli) -> None:
     rows = CameraProfile.load("NikonD850").rows
     fit = {"slope": 0.5, "bias": -0.25, "sigma": 0.125}
     lines = {"G_scale": fit, "g_scale": fit, "R_scale": fit}
@@ -60,18 +51,16 @@ def test_import(profile: Profile) -> None:
         "Profile-1": lines,
     }
     Path("NikonD850_params.json").write_text(json.dumps(data), encoding="utf-8")
-    outcome = profile("import", "NikonD850_params.json", "-o", "nikon.json")
+    outcome = eldata("profile", "import", "NikonD850_params.json", "-o", "nikon.json")
     assert (outcome.code, outcome.err) == (0, "")
     assert outcome.out.splitlines()[0] == f"NikonD850: {len(rows)} rows, Profile-1"
     data["Profile-2"] = lines | {"G_scale": fit | {"slope": 0.75}}
     Path("both.json").write_text(json.dumps(data), encoding="utf-8")
-    importing = ("import", "both.json", "-o", "two.json")
+    importing = ("profile", "import", "both.json", "-o", "two.json")
     words = "both.json holds 2 calibrations; choose one with --calibration: Profile-1, Profile-2"
-    assert_one_line(profile(*importing), words)
-    assert_one_line(
-        profile(*importing, "--calibration", "3"), "both.json holds no calibration '3'; known are Profile-1"
-    )
+    assert_one_line(eldata(*importing), words)
+    assert_one_line(eldata(*importing, "--calibration", "3"), "both.json holds no calibration '3'; known are Profile-1")
     assert not Path("two.json").exists()
-    assert profile(*importing, "--calibration", "Profile-2", "--camera", "Mine").code == 0
+    assert eldata(*importing, "--calibration", "Profile-2", "--camera", "Mine").code == 0
     second = CameraProfile.load("two.json")
     assert (second.camera, there(second.gain_modes[0].tukey_lambda_fit).slope) == ("Mine", 0.75)

@@ -38,13 +38,9 @@ _SHOWN = 800  # packed pixels a side of a picture before and after
 
 
 def denoise(
-    frame: RawFrame,
-    profile: CameraProfile | None = None,
-    *,
-    method: str = "network",
-    ratio: float = 1.0,
-    levels: FrameLevels = "metadata",
-) -> NDArray[np.float32]:
+    frame: RawFrame, profile: CameraProfile | None = None, *,
+    method: str = "network", ratio: float = 1.0, levels: FrameLevels = "metadata",
+) -> NDArray[np.float32]:  # fmt: skip
     """Return a raw frame without its noise (docs/baselines.md has the methods, and the card of the network).
 
     Parameters
@@ -144,18 +140,12 @@ class DenoisedFile:
 
 
 def denoise_file(
-    source: Path | str,
-    out: Path | str,
-    profile: CameraProfile | None = None,
-    *,
-    method: str = "network",
-    ratio: float = 1.0,
-    picture: Path | str | None = None,
-) -> DenoisedFile:
+    source: Path | str, out: Path | str, profile: CameraProfile | None = None, *,
+    method: str = "network", ratio: float = 1.0, picture: Path | str | None = None,
+) -> DenoisedFile:  # fmt: skip
     """Denoise a photograph into a DNG with the levels, colours, exposure and time of the camera's file.
 
-    Nothing but pixels changes: values are whole DN of the same scale, black subtracted nowhere. What was below black,
-    and lies there by noise alone, is black or above.
+    Nothing but pixels changes: they are whole DN of the same scale, with the same black level.
 
     Parameters
     ----------
@@ -185,15 +175,11 @@ def denoise_file(
     if picture is not None:
         _write_picture(Path(picture), frame, image, cleaned)
     amplified = f", amplified {ratio:g} times" if ratio != 1 else ""
+    software = f"eldata {__version__} denoise, {Path(method).name}{amplified}"
     write_dng(
-        path,
-        _round_to_dn(frame, cleaned),
-        frame.sensor,
-        frame.exposure,
-        taken=header.taken,
-        orientation=frame.orientation,
-        software=f"eldata {__version__} denoise, {Path(method).name}{amplified}",
-    )
+        path, _round_to_dn(frame, cleaned), frame.sensor, frame.exposure,
+        taken=header.taken, orientation=frame.orientation, software=software,
+    )  # fmt: skip
     return DenoisedFile(path, known_from, (*frame.remarks, *_remark_on_noise(method, image, noise)))
 
 
@@ -207,10 +193,7 @@ def _round_to_dn(frame: RawFrame, cleaned: NDArray[np.float32]) -> NDArray[np.ui
     # Packing leaves out rows and columns at the edges: they get those a period further in, which have their colours.
     rows, columns = (
         np.where(place < 0, place + period, np.where(place >= length, place - period, place))
-        for place, length in (
-            (np.arange(height) - area.top, area.height),
-            (np.arange(width) - area.left, area.width),
-        )
+        for place, length in ((np.arange(height) - area.top, area.height), (np.arange(width) - area.left, area.width))
     )
     mosaic = unpack(dn, sensor.cfa)[rows[:, None], columns]
     mosaic[frame.mosaic >= white] = np.uint16(white)

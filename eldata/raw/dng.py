@@ -206,13 +206,9 @@ def write_dng(
 
 
 def _encode_dng(
-    mosaic: NDArray[np.uint16],
-    sensor: Sensor,
-    exposure: Exposure,
-    compression: Compression,
-    taken: datetime | None,
-    made: list[Entry],
-) -> tuple[bytes, bytes, bytes]:
+    mosaic: NDArray[np.uint16], sensor: Sensor, exposure: Exposure, compression: Compression,
+    taken: datetime | None, made: list[Entry],
+) -> tuple[bytes, bytes, bytes]:  # fmt: skip
     """Encode a DNG as three parts to write in order: header and directory, pixels, EXIF."""
     if mosaic.dtype != np.uint16 or mosaic.shape != (sensor.height, sensor.width):
         raise ArgumentError(

@@ -1,4 +1,4 @@
-"""One photograph: a raw file in, a denoised raw file out, which raw converters open as they open the camera's."""
+"""One photograph: a raw file in, a denoised DNG out, with the levels, colours and exposure of the camera's file."""
 
 from __future__ import annotations
 

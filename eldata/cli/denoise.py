@@ -1,9 +1,9 @@
 """`eldata denoise`: take the noise out of photographs of your own.
 
-Denoise raw files of Bayer or X-Trans cameras into DNGs that Lightroom, darktable and RawTherapee open, with the
-camera's levels, colours and exposure. The noise is told by --profile, else by the DNG's NoiseProfile, else by the
-photograph itself; which, is said. network, which ships, takes Bayer alone; bm3d and anscombe-bm3d need the bm3d
-package, which its authors allow for non-commercial use only.
+Denoise raw files of Bayer or X-Trans cameras into DNGs with the camera's levels, colours and exposure. The noise is
+known from --profile, else from the DNG's NoiseProfile, else from the photograph itself; the command says which.
+network, which ships, takes Bayer alone; bm3d and anscombe-bm3d need the bm3d package, which its authors allow for
+non-commercial use only.
 
     eldata denoise IMG_0004.ARW -o IMG_0004.dng
     eldata denoise night/*.NEF -o denoised --profile NikonD850

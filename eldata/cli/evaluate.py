@@ -47,7 +47,7 @@ def add_options(parser: console.Parser) -> None:
     console.add_cameras(parser)
     parser.add_argument("--allow-missing", action="store_true", help="score the rest if files are missing")
     parser.add_argument("--strict", action="store_true", help="refuse predictions that show a mistake")
-    add_output(parser, "--csv", help="write the score of each image to FILE")
+    add_output(parser, "--csv", help="write the score of each image to FILE; -: to standard output")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the table (default: text)")
     add_output(parser, "--html", help="write a page with plots and pictures to FILE")
     text = "write JSON, CSV and the methods' comparison here"

@@ -142,7 +142,7 @@ class SourcePairs(CroppedItems[Sample]):
         yield Part("input", pair.input, gain=pair.gain, facts=_facts_of(record, pair))
 
     def _check_pairs(self) -> None:
-        """Refuse frames that are no pair. One pair of each kind is opened, for the source knows all but the pixels."""
+        """Refuse frames that are not a pair. One pair of each kind is opened: the source knows all but pixels."""
         kinds = set()
         numbers: dict[object, int] = {}
         # Of a reference once; by number, for to look at the hash of fractions takes longer than all else here.

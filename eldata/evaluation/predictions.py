@@ -165,7 +165,7 @@ def find_predictions(
     elsewhere
         Returns the noisy frames' paths in other datasets, by their names; called if files are left over.
     dataset
-        The dataset's folder and its files' paths there: these are no predictions.
+        The dataset's folder and its files' paths there, which are not predictions.
     allow_missing
         Whether noisy frames may lack a prediction.
     because
@@ -442,7 +442,7 @@ def _check_raw(path: Path, sensor: Sensor, declared: Declared) -> None:
 
 
 def _check_colours(path: Path, shape: tuple[int, int, int], declared: Declared, *, rendering: bool) -> None:
-    """Refuse arrays that are no rendering, or no RGB frame, of the reference's size."""
+    """Refuse arrays that are not a rendering, or an RGB frame, of the reference's size."""
     if not (rendering and declared.values == "uint8"):
         _check_type(path, declared)
     _, height, width = shape

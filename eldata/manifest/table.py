@@ -178,7 +178,7 @@ def _parse_sha256(text: str) -> str | None:
 
 
 def _parse_flags(text: str) -> tuple[str, ...]:
-    """Split a cell's flags at semicolons; refuse one that is no name."""
+    """Split a cell's flags at semicolons; refuse one that is not a name."""
     flags = text.split(";") if text else ()
     if not all(map(_NAME.fullmatch, flags)):
         raise ArgumentError(f"expected a ;-separated list of words, found {shown(text)}")

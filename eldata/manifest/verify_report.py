@@ -53,7 +53,7 @@ row_fault = partial(Problem, "")
 
 @dataclass(frozen=True, slots=True)
 class FileRemark:
-    """A remark on some files that is no problem: its text for the first file, and their number."""
+    """A remark on some files, not a problem: its text for the first file, and their number."""
 
     path: str
     files: int

@@ -228,13 +228,17 @@ def _read_frame(file: RawContainer) -> RawFrame:
         sensor = Sensor(header.make, header.model, cfa, black, white, height, width, balance, matrix, illuminant)
     check_damage(path, file.directories, mosaic, black, white)
     remarks += border_remarks(mosaic)
-    noise = _read_noise_profile(first) if file.is_dng else None
+    noise = _read_noise_profile(main or first, first) if file.is_dng else None
     return RawFrame(path, mosaic, sensor, header.exposure, whites, remarks, header.orientation, noise)
 
 
-def _read_noise_profile(first: Directory) -> tuple[float, float] | None:
-    """Slope and offset of a DNG's NoiseProfile, averaged over its planes; None where there is none that can be used."""
-    stated = [float(value) for value in first.values.get(tiff.NOISE_PROFILE, ())]
+def _read_noise_profile(mosaic: Directory, first: Directory) -> tuple[float, float] | None:
+    """Slope and offset of a DNG's NoiseProfile, averaged over its planes; None if it has no usable one.
+
+    It stands with the raw image, which converters put in a SubIFD, or in the first directory.
+    """
+    values = mosaic.values.get(tiff.NOISE_PROFILE) or first.values.get(tiff.NOISE_PROFILE, ())
+    stated = [float(value) for value in values]
     if not stated or len(stated) % 2 or not all(value >= 0 and isfinite(value) for value in stated):
         return None
     slope, offset = (sum(stated[part::2]) * 2 / len(stated) for part in (0, 1))
@@ -242,7 +246,7 @@ def _read_noise_profile(first: Directory) -> tuple[float, float] | None:
 
 
 def _unpack(file: RawContainer, raw: rawpy.RawPy) -> None:
-    """Decode the pixels; refuse those that are no mosaic."""
+    """Decode the pixels; refuse those that are not a mosaic."""
     import rawpy
 
     raw.unpack()

@@ -149,7 +149,7 @@ class StatedFile:
 
 
 def _check_declared(file: StatedFile, declared: Declared) -> None:
-    """Refuse an array that is no mosaic (H, W) of numbers, or whose type ends below the stated white level."""
+    """Refuse an array that is not a mosaic (H, W) of numbers, or whose type ends below the stated white level."""
     import numpy as np
 
     if len(declared.shape) != 2 or 0 in declared.shape or declared.values not in _VALUES:

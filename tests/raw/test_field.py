@@ -144,7 +144,7 @@ def write_shift(path: Path, mosaics: list[NDArray[np.uint16]], *, in_sub_ifds: b
         for index, mosaic in enumerate(mosaics):
             tags: list[Tag] = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((0, 1, 1, 2)), True)]
             tags += [(50714, "I", 1, 64 + index, True), (50717, "I", 1, 1023 + index, True)]
-            tags += [] if in_sub_ifds else first
+            tags += [(51041, "d", 2, (1e-4, 1e-7), True), *([] if in_sub_ifds else first)]
             tiff.write(mosaic, photometric=32803, subfiletype=0, metadata=None, extratags=tags)
 
 
@@ -159,6 +159,7 @@ def test_several_mosaics_of_one_size_are_named(in_sub_ifds: bool, tmp_path: Path
     write_shift(path, mosaics[:1], in_sub_ifds=in_sub_ifds)
     check_one_image(path)
     np.testing.assert_array_equal(read_raw(path).mosaic, mosaics[0])
+    assert read_raw(path).noise_profile == (1e-4, 1e-7)  # with the raw image, wherever that stands
 
 
 @pytest.mark.parametrize("tag", [50706, 34310, 33422], ids=["DNG", "Leaf", "CFA"])

@@ -231,7 +231,7 @@ def open_hdf5(path: Path) -> h5py.File:
 
 
 def _check_header(path: Path, header: Mapping[str, Any]) -> None:
-    """Refuse a file that is no store, or has another version or an unknown compression."""
+    """Refuse a file that is not a store, or has another version or an unknown compression."""
     if header.get("format") != FORMAT:
         raise StoreError(path, "is an HDF5 file, but not a store of eldata; eldata pack makes stores")
     version = int(header["version"])

@@ -89,7 +89,8 @@ def denoise(
     >>> from eldata.noise import CameraProfile
     >>> from eldata.raw import read_raw
     >>> noisy = read_raw("eldata-demo/data/ELD-demo/DemoAlpha/scene-1/IMG_0012.dng")
-    >>> denoise(noisy, CameraProfile.load("SonyA7S2"), ratio=100.0).shape  # one's own camera's
+    >>> profile = CameraProfile.load("SonyA7S2")  # one's own camera's
+    >>> denoise(noisy, profile, ratio=100.0, profile_of_another_camera=True).shape
     (4, 256, 384)
     """
     work = _plan_work(frame, profile, method, ratio, levels, profile_of_another_camera)

@@ -74,6 +74,8 @@ def _name_outputs(arguments: console.Arguments) -> dict[Path, Path]:
         if len(sources) > 1:
             raise ArgumentError(f"-o {out} is one file, and {len(sources)} photographs are given; name a folder")
         outputs = {sources[0]: out}
+    elif out.suffix and not out.is_dir():
+        raise ArgumentError(f"-o {out} is no file.dng; if it is to be a folder, make it first")
     else:
         outputs = {source: out / f"{source.stem}.dng" for source in sources}
     if len(set(outputs.values())) < len(outputs):

@@ -221,13 +221,12 @@ def _encode_dng(
     fault = mosaic_fault(mosaic, sensor.black_level_dn, sensor.white_level_dn)
     if fault is not None:
         raise ArgumentError(f"{fault}: reading takes that for a damaged file")
-    if compression == "none":
-        pixels = np.ascontiguousarray(mosaic, "<u2").data.cast("B")  # a frame's bytes are not copied
-    else:
+    pixels: bytes | memoryview = np.ascontiguousarray(mosaic, "<u2").data.cast("B")  # a frame's bytes are not copied
+    if compression == "lossless-jpeg":
         import imagecodecs
 
-        pixels = bytes(imagecodecs.ljpeg_encode(np.ascontiguousarray(mosaic), bitspersample=16))
-        pixels += b"\0" * (len(pixels) % 2)
+        encoded = bytes(imagecodecs.ljpeg_encode(np.ascontiguousarray(mosaic), bitspersample=16))
+        pixels = encoded + b"\0" * (len(encoded) % 2)
     stated = _sensor_entries(sensor)
 
     def pack_head(exif_at: int, pixels_at: int) -> bytes:

@@ -22,10 +22,11 @@ from scipy.fft import dct, dctn, idctn
 from scipy.interpolate import PchipInterpolator
 from scipy.stats import poisson
 
+from eldata.baselines.tiling import tiled
 from eldata.errors import ArgumentError, DatasetError, EldataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from numpy.typing import NDArray
 
@@ -77,13 +78,13 @@ def noise_of_parameters(parameters: NoiseParameters, *, ratio: float, range_dn: 
     return SignalNoise(float(parameters.gain_dn_per_e) * scale, (gauss**2 + row**2 + rounding) * scale**2, black)
 
 
-def noise_of_image(image: Values) -> SignalNoise:
+def noise_of_image(image: Values | Iterable[Values]) -> SignalNoise:
     """Estimate the noise line from a frame itself (:func:`eldata.baselines.noise_line.noise_line`), without row noise.
 
     Parameters
     ----------
     image
-        (C, h, w), negative values kept.
+        (C, h, w), negative values kept, or its bands as there.
 
     Raises
     ------
@@ -295,6 +296,8 @@ class Baseline:
         Whether it needs the package ``bm3d``.
     has_weights
         Whether it was trained: then the hash of its weights is part of what decides its predictions.
+    tile, overlap, multiple
+        As :func:`eldata.baselines.tiling.tiled` has them, in packed pixels.
     """
 
     title: str
@@ -302,6 +305,14 @@ class Baseline:
     uses_noise: bool = True
     needs_bm3d: bool = False
     has_weights: bool = False
+    tile: int = 0
+    overlap: int = 0
+    multiple: int = 1
+
+    @property
+    def sides(self) -> dict[str, int]:
+        """Tile, overlap and multiple."""
+        return {"tile": self.tile, "overlap": self.overlap, "multiple": self.multiple}
 
     def denoise(self, image: Values, line: SignalNoise | None) -> Values:
         """Denoise a frame (C, h, w).
@@ -313,7 +324,7 @@ class Baseline:
         """
         if self.uses_noise and line is None:
             raise ArgumentError("this baseline needs the line of the frame's noise")
-        return self.function(image, line)
+        return tiled(lambda part: self.function(part, line), image, **self.sides)
 
     def versions(self) -> dict[str, str]:
         """List the versions that decide its predictions: of the package that it needs, or the hash of its weights.
@@ -365,7 +376,7 @@ def _run_bm3d_on_white(image: Values) -> Values:
 
 
 def _run_network(image: Values, line: SignalNoise) -> Values:
-    """Denoise by the network that ships."""
+    """Denoise a tile by the network that ships."""
     from eldata.baselines.unet import remove_noise
 
     return remove_noise(image, line.slope, line.offset, line.black)
@@ -374,12 +385,15 @@ def _run_network(image: Values, line: SignalNoise) -> Values:
 BASELINES: Mapping[str, Baseline] = MappingProxyType(
     {
         "input": Baseline("the noisy input, amplified, nothing else", lambda image, _: image, uses_noise=False),
-        "dct": Baseline("sliding-window DCT thresholding", threshold_dct),
+        # A quarter of the overlaps is as far as they see.
+        "dct": Baseline("sliding-window DCT thresholding", threshold_dct, tile=1024, overlap=64, multiple=2),
         "bm3d": Baseline("BM3D with one noise level for the frame", _run_bm3d, needs_bm3d=True),
         "anscombe-bm3d": Baseline(
             "BM3D of stabilised values, exact unbiased inverse (A-BM3D)", _anscombe_bm3d, needs_bm3d=True
         ),
-        "network": Baseline("the network that ships, told the noise", _run_network, has_weights=True),
+        "network": Baseline(
+            "the network that ships, told the noise", _run_network, has_weights=True, tile=1024, overlap=256, multiple=8
+        ),
     }
 )
 """The denoisers that need no training of yours, by the names that ``eldata baseline`` and ``--baseline`` take."""

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from eldata.calibration.flats import straight_line
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from eldata.calibration.sums import Mask, Values
@@ -70,7 +72,7 @@ class NoiseLine:
         return np.asarray(np.maximum(self.offset + max(self.slope, 0.0) * signal, self.least_variance / 4))
 
 
-def noise_line(packed: Values) -> NoiseLine:
+def noise_line(packed: Values | Iterable[Values]) -> NoiseLine:
     """Estimate the line from a frame itself, whose noise is independent from pixel to pixel.
 
     What the smooth windows still have of the scene is taken off: how the highest frequencies follow the middle ones in
@@ -80,7 +82,8 @@ def noise_line(packed: Values) -> NoiseLine:
     Parameters
     ----------
     packed
-        (C, h, w), black subtracted and negative values kept, in any unit.
+        (C, h, w), black subtracted and negative values kept, in any unit; or, for less memory, bands of its rows from
+        top to bottom, each but the last of a multiple of 8 rows.
 
     Raises
     ------
@@ -89,18 +92,14 @@ def noise_line(packed: Values) -> NoiseLine:
     DatasetError
         If the frame is too small, shows no noise, has no smooth windows, or neighbouring pixels share their noise.
     """
-    if packed.ndim != 3 or not np.issubdtype(packed.dtype, np.floating):
-        raise ArgumentError(f"a packed frame is (C, h, w) in floating numbers; found {packed.dtype} {packed.shape}")
-    if not np.all(np.isfinite(packed)):
-        raise ArgumentError("a packed frame has finite values; found NaN or infinity")
-    windows = _Windows.of(packed)
+    windows = _Windows.of([packed] if isinstance(packed, np.ndarray) else packed)
     if windows.mean.size < _FEWEST_WINDOWS:
         raise DatasetError(
-            f"a frame of {packed.shape} shows too little of its noise: {windows.mean.size} windows of {WINDOW} x "
-            f"{WINDOW} pixels of a channel, where {_FEWEST_WINDOWS} are needed"
+            f"the frame shows too little of its noise: {windows.mean.size} windows of {WINDOW} x {WINDOW} pixels of a "
+            f"channel, where {_FEWEST_WINDOWS} are needed"
         )
     line = windows.first_line()
-    within = _SMOOTH_WITHIN * math.sqrt(2 / (np.count_nonzero(_MIDDLE) * len(packed)))
+    within = _SMOOTH_WITHIN * math.sqrt(2 / (np.count_nonzero(_MIDDLE) * len(windows.mean)))
     for _ in range(_ROUNDS):
         excess = windows.excess(line)
         smooth = excess < within
@@ -126,25 +125,13 @@ class _Windows:
     middle: Values
 
     @classmethod
-    def of(cls, packed: Values) -> _Windows:
-        """Measure the windows of a packed frame, (C, h, w)."""
-        from scipy.fft import dctn
-
-        channels, rows, columns = len(packed), packed.shape[1] // WINDOW, packed.shape[2] // WINDOW
-        if rows < 2 or not columns:
-            raise DatasetError(f"a frame of {packed.shape} is too small to show its noise")
-
-        def cut_windows(channel: NDArray[Any]) -> NDArray[Any]:
-            whole = channel[: rows * WINDOW, : columns * WINDOW]
-            return whole.reshape(rows, WINDOW, columns, WINDOW).swapaxes(1, 2)
-
-        mean, highest, middle = (np.empty((channels, rows, columns)) for _ in range(3))
-        for index, channel in enumerate(packed):
-            squares = dctn(cut_windows(channel.astype(np.float64)), axes=(-2, -1), norm="ortho")
-            mean[index] = squares[..., 0, 0] / WINDOW
-            np.square(squares, out=squares)
-            highest[index] = squares[..., _HIGHEST].mean(axis=-1)
-            middle[index] = squares[..., _MIDDLE].mean(axis=-1)
+    def of(cls, bands: Iterable[Values]) -> _Windows:
+        """Measure the windows of a packed frame, given in bands of its rows."""
+        measured = zip(*map(_measure_windows, bands), strict=True)
+        mean, highest, middle = (np.concatenate(parts, axis=1) for parts in measured)
+        rows = mean.shape[1]
+        if rows < 2 or not mean.shape[2]:
+            raise DatasetError(f"a frame of {rows} x {mean.shape[2]} windows is too small to show its noise")
         above, below = mean[:, [1, *range(rows - 1)]], mean[:, [*range(1, rows), rows - 2]]
         return cls(mean, (above + below) / 2, highest, middle)
 
@@ -218,6 +205,27 @@ class _Windows:
             share = float(rest @ excess[textured] / (excess[textured] @ excess[textured]))
         chance = -within / _SMOOTH_WITHIN * float(norm.pdf(_SMOOTH_WITHIN) / norm.cdf(_SMOOTH_WITHIN))
         return np.asarray(share * (excess - chance) * line.variance(self.mean))
+
+
+def _measure_windows(packed: Values) -> tuple[Values, Values, Values]:
+    """Measure the windows of a band, (C, rows, columns): mean, and mean squares of highest and middle frequencies."""
+    from scipy.fft import dctn
+
+    if packed.ndim != 3 or not np.issubdtype(packed.dtype, np.floating):
+        raise ArgumentError(f"a packed frame is (C, h, w) in floating numbers; found {packed.dtype} {packed.shape}")
+    if not np.all(np.isfinite(packed)):
+        raise ArgumentError("a packed frame has finite values; found NaN or infinity")
+    channels, rows, columns = len(packed), packed.shape[1] // WINDOW, packed.shape[2] // WINDOW
+    mean, highest, middle = (np.empty((channels, rows, columns)) for _ in range(3))
+    for index, channel in enumerate(packed):
+        whole = channel[: rows * WINDOW, : columns * WINDOW].astype(np.float64)
+        windows = whole.reshape(rows, WINDOW, columns, WINDOW).swapaxes(1, 2)
+        squares = dctn(windows, axes=(-2, -1), norm="ortho")
+        mean[index] = squares[..., 0, 0] / WINDOW
+        np.square(squares, out=squares)
+        highest[index] = squares[..., _HIGHEST].mean(axis=-1)
+        middle[index] = squares[..., _MIDDLE].mean(axis=-1)
+    return mean, highest, middle
 
 
 def _check_found(smooth: Mask) -> None:

@@ -20,7 +20,7 @@ from eldata.sources.frames import Files
 from eldata.sources.pairs import PairOpener
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -159,7 +159,7 @@ def mirrored_window(clip: Clip, path: str, length: int) -> tuple[str, ...]:
 # --- what a denoiser is told of a frame's noise: by its camera's profile, or by the frame itself ----------------------
 
 
-def estimate_line(image: Values) -> SignalNoise:
+def estimate_line(image: Values | Iterable[Values]) -> SignalNoise:
     """Estimate the noise of a frame from the frame itself (:func:`eldata.baselines.classical.noise_of_image`).
 
     Raises

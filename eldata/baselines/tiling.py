@@ -14,11 +14,12 @@ import numpy as np
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
     Values = NDArray[np.floating[Any]]
+    Read = Callable[[slice, slice], NDArray[np.float32]]
 
 
 def tiled(
@@ -58,6 +59,28 @@ def tiled(
     >>> np.allclose(tiled(lambda tile: 2 * tile, image, tile=64, overlap=16, multiple=16), 2 * image)
     True
     """
+    parts = tile_bands(
+        function, lambda rows, columns: image[:, rows, columns], image.shape[1:], tile=tile, overlap=overlap,
+        multiple=multiple,
+    )  # fmt: skip
+    return np.concatenate(list(parts), axis=1)
+
+
+def tile_bands(
+    function: Callable[[NDArray[np.float32]], Values], read: Read, shape: tuple[int, ...], *,
+    tile: int, overlap: int, multiple: int,
+) -> Iterator[NDArray[np.float32]]:  # fmt: skip
+    """Yield what :func:`tiled` returns in bands of rows, from top to bottom; no more than a row of tiles is held.
+
+    Parameters
+    ----------
+    function, tile, overlap, multiple
+        As there.
+    read
+        Of rows and columns: that part of the image, (C, rows, columns). Tiles begin at multiples of ``multiple``.
+    shape
+        (h, w) of the image.
+    """
     if multiple < 1 or tile < 0 or overlap < 0:
         raise ArgumentError(f"tile, overlap and multiple are not negative; found {tile}, {overlap}, {multiple}")
     if tile and (tile % multiple or overlap % multiple or 2 * overlap > tile):
@@ -65,33 +88,42 @@ def tiled(
             f"tile and overlap are multiples of {multiple}, the overlap is at most half of the tile; found {tile} and "
             f"{overlap}"
         )
-    _, height, width = image.shape
-    whole = _extend_image(image, multiple)
-    if not tile or (whole.shape[1] <= tile and whole.shape[2] <= tile):
-        return np.ascontiguousarray(_check_size(function(whole), whole)[:, :height, :width], dtype=np.float32)
-    rows, columns = (_place_tiles(length, min(tile, length), overlap) for length in whole.shape[1:])
-    sides = tuple(min(tile, length) for length in whole.shape[1:])
-    total = np.zeros((0, *whole.shape[1:]), np.float32)
-    for top, row_weight in zip(rows, _weigh_tiles(rows, sides[0], overlap), strict=True):
-        for left, column_weight in zip(columns, _weigh_tiles(columns, sides[1], overlap), strict=True):
-            part = np.ascontiguousarray(whole[:, top : top + sides[0], left : left + sides[1]])
+    height, width = shape
+    whole = tuple(side + -side % multiple for side in shape)
+    if any(side < 1 or length - side >= side for side, length in zip(shape, whole, strict=True)):
+        raise ArgumentError(f"an image of {shape} is too small to be extended to multiples of {multiple}")
+    tall, wide = (min(tile or length, length) for length in whole)
+    rows, columns = _place_tiles(whole[0], tall, overlap), _place_tiles(whole[1], wide, overlap)
+    total = np.zeros((0, tall, whole[1]), np.float32)
+    for top, below, row_weight in zip(rows, [*rows[1:], whole[0]], _weigh_tiles(rows, tall, overlap), strict=True):
+        for left, column_weight in zip(columns, _weigh_tiles(columns, wide, overlap), strict=True):
+            part = _read_tile(read, shape, (top, left), (tall, wide), multiple)
             made = _check_size(function(part), part)
             if not len(total):
-                total = np.zeros((len(made), *whole.shape[1:]), np.float32)
-            place = total[:, top : top + sides[0], left : left + sides[1]]
+                total = np.zeros((len(made), *total.shape[1:]), np.float32)
+            place = total[:, :, left : left + wide]
             weight = np.outer(row_weight, column_weight).astype(np.float32)
             # What has no weight may be anything, NaN too.
             np.add(place, made * weight, out=place, where=weight > 0)
-    return np.ascontiguousarray(total[:, :height, :width])
+        done = below - top
+        yield total[:, : min(done, height - top), :width].copy()
+        total[:, : tall - done] = total[:, done:]  # the next row of tiles fades in there
+        total[:, tall - done :] = 0
 
 
-def _extend_image(image: NDArray[np.float32], multiple: int) -> NDArray[np.float32]:
-    """Mirror an image (C, h, w) at its lower and right edge, up to multiples of ``multiple`` pixels."""
-    height, width = image.shape[1:]
-    below, right = -height % multiple, -width % multiple
-    if max(below - height, right - width) >= 0:
-        raise ArgumentError(f"an image of {image.shape} is too small to be extended to multiples of {multiple}")
-    return np.pad(image, ((0, 0), (0, below), (0, right)), mode="reflect") if below or right else image
+def _read_tile(
+    read: Read, shape: tuple[int, ...], place: tuple[int, int], sides: tuple[int, int], multiple: int
+) -> NDArray[np.float32]:
+    """Read a tile; beyond the lower and right edge the image is mirrored, up to a multiple of pixels."""
+    # A tile of the last pixels alone would not hold what is mirrored.
+    begins = [max(0, min(first, length - multiple)) for first, length in zip(place, shape, strict=True)]
+    ends = [min(first + side, length) for first, side, length in zip(place, sides, shape, strict=True)]
+    part = read(*(slice(begin, end) for begin, end in zip(begins, ends, strict=True)))
+    missing = [(0, first + side - end) for first, side, end in zip(place, sides, ends, strict=True)]
+    if any(map(any, missing)):
+        part = np.pad(part, ((0, 0), *missing), mode="reflect")
+    top, left = (first - begin for first, begin in zip(place, begins, strict=True))
+    return np.ascontiguousarray(part[:, top:, left:])
 
 
 def _check_size(made: Values, given: Values) -> Values:

@@ -16,7 +16,6 @@ from torch import nn
 
 from eldata.base.files import sha256_of
 from eldata.base.seeds import checked_seed, purpose_sequence
-from eldata.baselines.tiling import tiled
 from eldata.errors import ArgumentError, DatasetError, FileError
 
 if TYPE_CHECKING:
@@ -165,7 +164,6 @@ def save_weights(network: nn.Module, path: Path) -> None:
 # --- a network that is told the noise, and so is trained once for all cameras, gains and factors ----------------------
 
 _NOISE_AWARE = "noise_aware.safetensors"
-_TILE, _OVERLAP = 1024, 256  # packed pixels; a quarter of the overlap is as far as the network sees
 _ROOT = 0.5**0.5
 # Orthonormal, so that white noise stays white: from R, G1, B, G2, brightness and three differences.
 _COLOURS = ((0.5, 0.5, 0.5, 0.5), (0.5, -0.5, 0.5, -0.5), (_ROOT, 0.0, -_ROOT, 0.0), (0.0, _ROOT, 0.0, -_ROOT))
@@ -291,13 +289,13 @@ def _make_blocks(width: int, count: int) -> nn.Sequential:
     return nn.Sequential(*(_Block(width) for _ in range(count)))
 
 
-def remove_noise(image: Values, slope: float, offset: float, black: tuple[float, ...]) -> NDArray[np.float32]:
-    """Denoise an image by the network that ships, on a GPU if torch sees one.
+def remove_noise(tile: Values, slope: float, offset: float, black: tuple[float, ...]) -> NDArray[np.float32]:
+    """Denoise a tile by the network that ships, on a GPU if torch sees one.
 
     Parameters
     ----------
-    image
-        (4, h, w), packed, normalised and amplified, negative values kept.
+    tile
+        (4, h, w), packed, normalised and amplified, negative values kept; sides are multiples of 8.
     slope, offset, black
         Of its noise (:class:`eldata.baselines.classical.SignalNoise`).
 
@@ -308,21 +306,15 @@ def remove_noise(image: Values, slope: float, offset: float, black: tuple[float,
     FileError
         If the weights are not there or not its own: the installation is damaged.
     """
-    if len(image) != 4:
+    if len(tile) != 4:
         raise DatasetError(
-            f"the network takes packed Bayer frames of 4 channels; found {len(image)}: take dct or anscombe-bm3d"
+            f"the network takes packed Bayer frames of 4 channels; found {len(tile)}: take dct or anscombe-bm3d"
         )
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    network, (slopes, offsets) = _load_network(device), torch.tensor([[slope], [offset]], device=device)
-
-    def run_tile(part: NDArray[np.float32]) -> Values:
-        """Denoise a tile."""
-        with torch.inference_mode():
-            made = network(torch.from_numpy(part)[None].to(device), slopes, offsets)
-        return np.asarray(made[0].cpu().numpy())
-
-    taken = image - np.array(black or (0.0,) * len(image))[:, None, None]
-    return tiled(run_tile, taken.astype(np.float32), tile=_TILE, overlap=_OVERLAP, multiple=network.multiple)
+    taken = torch.from_numpy((tile - np.array(black or (0.0,) * len(tile))[:, None, None]).astype(np.float32))
+    with torch.inference_mode():
+        made = _load_network(device)(taken[None].to(device), *torch.tensor([[slope], [offset]], device=device))
+    return np.asarray(made[0].cpu().numpy())
 
 
 @lru_cache(maxsize=1)

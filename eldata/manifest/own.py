@@ -233,8 +233,13 @@ def _read_frame(folder: Path, path: Path) -> _Frame:
 
 def _make_frame(header: RawHeader, path: str) -> _Frame:
     """Make a frame of a raw file's header and its path."""
-    camera, exposure = _UNFIT.sub("", header.model), header.exposure
+    camera, exposure = name_camera(header.model), header.exposure
     return _Frame(path, header.model, camera, exposure.iso, exposure.exposure_s, header.taken)
+
+
+def name_camera(model: str) -> str:
+    """Name a camera as ``eldata manifest`` does: its model in EXIF, without what does not fit a name."""
+    return _UNFIT.sub("", model)
 
 
 def _describe_unreadable(path: str, error: Exception) -> Problem:

@@ -130,7 +130,9 @@ def _sensor_entries(sensor: Sensor) -> list[Entry]:
         (tiff.WHITE_LEVEL, "I", (int(sensor.white_level_dn),)),
     ]
     names = {tiff.MAKE: sensor.make, tiff.MODEL: sensor.model}
-    names[tiff.UNIQUE_MODEL] = f"{sensor.make} {sensor.model}".strip()
+    # As Adobe names cameras, whose profiles are found by it: no maker twice.
+    has_maker = sensor.model.casefold().startswith(tuple(sensor.make.casefold().split()[:1]))
+    names[tiff.UNIQUE_MODEL] = sensor.model if has_maker else f"{sensor.make} {sensor.model}".strip()
     entries += [_text_entry(tag, name) for tag, name in names.items() if name]
     if sensor.xyz_to_camera is not None:
         matrix = [round_fraction(exact_fraction(value), SRATIONAL) for row in sensor.xyz_to_camera for value in row]
@@ -208,7 +210,7 @@ def write_dng(
 def _encode_dng(
     mosaic: NDArray[np.uint16], sensor: Sensor, exposure: Exposure, compression: Compression,
     taken: datetime | None, made: list[Entry],
-) -> tuple[bytes, bytes, bytes]:  # fmt: skip
+) -> tuple[bytes, bytes | memoryview, bytes]:  # fmt: skip
     """Encode a DNG as three parts to write in order: header and directory, pixels, EXIF."""
     if mosaic.dtype != np.uint16 or mosaic.shape != (sensor.height, sensor.width):
         raise ArgumentError(
@@ -219,13 +221,12 @@ def _encode_dng(
     fault = mosaic_fault(mosaic, sensor.black_level_dn, sensor.white_level_dn)
     if fault is not None:
         raise ArgumentError(f"{fault}: reading takes that for a damaged file")
-    if compression == "none":
-        pixels = mosaic.astype("<u2").tobytes()
-    else:
+    pixels: bytes | memoryview = np.ascontiguousarray(mosaic, "<u2").data.cast("B")  # a frame's bytes are not copied
+    if compression == "lossless-jpeg":
         import imagecodecs
 
-        pixels = bytes(imagecodecs.ljpeg_encode(np.ascontiguousarray(mosaic), bitspersample=16))
-    pixels += b"\0" * (len(pixels) % 2)
+        encoded = bytes(imagecodecs.ljpeg_encode(np.ascontiguousarray(mosaic), bitspersample=16))
+        pixels = encoded + b"\0" * (len(encoded) % 2)
     stated = _sensor_entries(sensor)
 
     def pack_head(exif_at: int, pixels_at: int) -> bytes:

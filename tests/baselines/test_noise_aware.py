@@ -16,7 +16,7 @@ from safetensors.torch import load_file
 
 from eldata.base.workers import Workers
 from eldata.baselines import unet
-from eldata.baselines.classical import SignalNoise, apply_anscombe, noise_of_parameters
+from eldata.baselines.classical import BASELINES, SignalNoise, apply_anscombe, noise_of_parameters
 from eldata.baselines.noisy_frames import line_of_profile
 from eldata.baselines.photographs import denoise
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
@@ -113,12 +113,13 @@ def test_the_network_is_as_small_as_it_is_said_to_be() -> None:
         assert sum(one.numel() for one in NoiseAwareUNet().parameters()) == 973_832
 
 
-def test_tiles_are_not_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tiles_are_not_seen() -> None:
     """A quarter of the overlap is as far as it sees, so that tiles make what the whole frame makes."""
     image = np.random.default_rng(0).random((4, 300, 700)).astype(np.float32)
-    whole = remove_noise(image, 0.05, 1e-3, ())
-    monkeypatch.setattr(unet, "_TILE", 512)
-    np.testing.assert_allclose(remove_noise(image, 0.05, 1e-3, ()), whole, atol=1e-5)
+    line, network = SignalNoise(0.05, 1e-3), BASELINES["network"]
+    whole = network.denoise(image, line)
+    found = replace(network, tile=512).denoise(image, line)
+    np.testing.assert_allclose(found, whole, atol=1e-5)
 
 
 def test_what_black_is_off_by_is_taken_off() -> None:

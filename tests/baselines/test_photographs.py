@@ -13,7 +13,9 @@ import pytest
 import rawpy
 from PIL import Image
 
-from eldata.baselines.photographs import denoise_file
+from eldata.baselines import photographs
+from eldata.baselines.classical import BASELINES
+from eldata.baselines.photographs import denoise, denoise_file
 from eldata.cli.main import main
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile
@@ -123,8 +125,16 @@ def test_where_the_noise_is_known_from(tmp_path: Path) -> None:
     photograph(source, sensor_of())
     assert read_raw(source).noise_profile is None
     made = {"photograph itself": denoise_file(source, tmp_path / "1.dng", method="dct")}
-    profile = CameraProfile.load("SonyA7S2")
-    made["profile of SonyA7S2"] = denoise_file(source, tmp_path / "2.dng", profile, method="dct")
+    profile, another = CameraProfile.load("SonyA7S2"), {"profile_of_another_camera": True}
+    with pytest.raises(ArgumentError, match="no profile of the camera Nocturne 1 was given, only of SonyA7S2"):
+        denoise_file(source, tmp_path / "2.dng", profile, method="dct")
+    made["profile of SonyA7S2, another camera"] = denoise_file(
+        source, tmp_path / "2.dng", profile, method="dct", **another
+    )
+    frame = read_raw(source)
+    for model in ("ILCE-7SM2", "sonya7s2"):  # as cards that ship have it, and as a profile of one's own
+        named = replace(frame, sensor=replace(frame.sensor, model=model))
+        assert np.array_equal(denoise(named, profile, method="dct"), denoise(frame, profile, method="dct", **another))
     # By the specification: variance = S x + O of shares of white, a pair for each colour plane.
     span = WHITE_DN - 512
     stated = np.array([GAIN / span * share for share in (0.9, 1.0, 1.1)])
@@ -152,6 +162,21 @@ def test_a_photograph_beyond_what_the_network_was_made_for_is_named(tmp_path: Pa
     assert denoise_file(source, tmp_path / "3.dng", method="dct", ratio=0.25).remarks == ()
 
 
+@pytest.mark.parametrize("cfa", [BAYER["GRBG"], xtrans_at(0, 3)])
+def test_bands_make_what_the_whole_frame_makes(cfa: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The noise is found in bands, too; where tiles fade into each other, float32 is rounded once more."""
+    photograph(tmp_path / "a.dng", sensor_of(cfa, 331, 602))
+    whole = denoise(read_raw(tmp_path / "a.dng"), method="dct")
+    denoise_file(tmp_path / "a.dng", tmp_path / "1.dng", method="dct")
+    monkeypatch.setattr(photographs, "_ROWS", 24)
+    monkeypatch.setattr(photographs, "BASELINES", {"dct": replace(BASELINES["dct"], tile=128)})
+    found = denoise(read_raw(tmp_path / "a.dng"), method="dct")
+    np.testing.assert_allclose(found, whole, rtol=0, atol=3e-7)
+    denoise_file(tmp_path / "a.dng", tmp_path / "2.dng", method="dct")
+    one, two = (read_raw(tmp_path / f"{name}.dng").mosaic for name in (1, 2))
+    assert np.count_nonzero(one != two) < 20  # of 199,000, at half a DN
+
+
 def test_what_cannot_be_denoised_is_refused(tmp_path: Path) -> None:
     source, out = tmp_path / "a.dng", tmp_path / "b.dng"
     photograph(source, sensor_of(xtrans_at(0, 0)))
@@ -161,7 +186,7 @@ def test_what_cannot_be_denoised_is_refused(tmp_path: Path) -> None:
         denoise_file(source, out, method="nlm")
     write_dng(source, read_raw(source).mosaic, read_raw(source).sensor, replace(EXPOSURE, iso=Fraction(10**6)))
     with pytest.raises(ArgumentError, match="ISO"):
-        denoise_file(source, out, CameraProfile.load("SonyA7S2"), method="dct")
+        denoise_file(source, out, CameraProfile.load("SonyA7S2"), method="dct", profile_of_another_camera=True)
     assert not out.exists()
 
 
@@ -183,19 +208,32 @@ def test_one_file_with_its_picture(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_several_files_go_on_after_one_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    names = [tmp_path / f"{name}.dng" for name in "abc"]
+    names, out = [tmp_path / f"{name}.dng" for name in "abc"], tmp_path / "out"
     for seed, path in enumerate(names):
         photograph(path, sensor_of(), seed=seed)
     names[1].write_bytes(names[1].read_bytes()[:5000])
-    assert main(["denoise", *map(str, names), "-o", str(tmp_path / "out"), "--method", "dct"]) == 1
+    command = ["denoise", *map(str, names), "-o", str(out), "--method", "dct"]
+    assert main(command) == 1
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split(":")[0] for line in lines] == [
-        str(tmp_path / "out" / "a.dng"),
-        str(names[1]),
-        str(tmp_path / "out" / "c.dng"),
-    ]
+    assert [line.split(":")[0] for line in lines] == [str(out / "a.dng"), str(names[1]), str(out / "c.dng")]
     assert "truncated" in lines[1]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a.dng", "c.dng"]
+    assert sorted(path.name for path in out.iterdir()) == ["a.dng", "c.dng"]
+    photograph(names[1], sensor_of(), seed=1)
+    before = {path: path.stat().st_mtime_ns for path in out.iterdir()}
+    assert main(command) == 0  # goes on with what is missing
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == [
+        "2 of 3 photographs were denoised before",
+        f"{out / 'b.dng'}: noise estimated from the photograph itself",
+    ]
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    for others, words in ((["--amplify", "2"], "denoise, dct, now eldata"), (["--method", "network"], "now eldata")):
+        assert main([*command, *others]) == 2
+        assert words in capsys.readouterr().err
+    (out / "b.dng").write_bytes(b"a photograph of somebody's")
+    assert main(command) == 2
+    assert "b.dng is there, by others" in capsys.readouterr().err
+    assert (out / "b.dng").read_bytes() == b"a photograph of somebody's"
 
 
 @in_one_test(
@@ -206,6 +244,7 @@ def test_several_files_go_on_after_one_that_fails(tmp_path: Path, capsys: pytest
         (["a.dng", "b.dng", "-o", "out", "--preview", "p.png"], "--preview is for one photograph"),
         (["a.dng", "-o", "a.dng"], "is there already"),
         (["a.dng", "-o", "none/x/b.dng"], "no folder"),
+        (["a.dng", "-o", "b.jpg"], "is no file.dng"),
     ],
 )
 def test_what_is_asked_for_is_refused_before_any_work(

@@ -250,8 +250,9 @@ def find_suspicions(inspections: Sequence[Inspection]) -> tuple[Suspicion, ...]:
 
     A prediction of another frame is a mistake wherever it occurs.
     """
-    exchanged = _find_exchanged(inspections) or _find_exchanged_cameras(inspections)
-    return (*exchanged, *_find_shared_mistakes(inspections, min(2, len(inspections))))
+    exchanged = _find_exchanged(inspections)
+    shared = _find_shared_mistakes(inspections, min(2, len(inspections)))
+    return (*exchanged, *shared) or tuple(_find_exchanged_cameras(inspections))
 
 
 def _find_shared_mistakes(inspections: Sequence[Inspection], fewest: int, depth: int = 0) -> list[Suspicion]:
@@ -317,9 +318,8 @@ def _find_exchanged_cameras(inspections: Sequence[Inspection]) -> list[Suspicion
         gains = []
         for camera, other in ((first, second), (second, first)):
             references = np.stack([inspection.reference for inspection in cameras[other]])
-            best = [float((references @ own.prediction).max()) for own in cameras[camera]]
-            fits = [float(own.reference @ own.prediction) for own in cameras[camera]]
-            gains.append([high - fit if high >= _LIKE else -1.0 for high, fit in zip(best, fits, strict=True)])
+            fits = [(references @ own.prediction).max() - own.reference @ own.prediction for own in cameras[camera]]
+            gains.append([float(fit) for fit in fits])
         if all(len(of) >= EACH and fmean(of) > _SURE * stdev(of) / math.sqrt(len(of)) for of in gains):
             members = [*cameras[first], *cameras[second]]
             score = fmean([inspection.psnr_db for inspection in members])

@@ -399,7 +399,7 @@ def write_notes(
     if odd:
         notes.append(
             f"rescaled by less than {low:.2g} or more than {high:g}: {len(odd)} of {len(scores)} predictions, such as "
-            f"{odd[0].name} by {odd[0].rescale:.3g}; is their scale that of the reference?"
+            f"{odd[0].name} by {odd[0].rescale:.3g}; are they scaled like the reference?"
         )
     if perfect := [score.name for score in scores if score.psnr_db == float("inf")]:
         what, units = "equal to their reference exactly", "predictions"

@@ -17,7 +17,7 @@ from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_st
 from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, TypeAlias
 
 from eldata import __version__
 from eldata.base.files import write_json, write_problem
@@ -26,7 +26,7 @@ from eldata.base.visible import visible
 from eldata.errors import ArgumentError, EldataError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from eldata.base.workers import Workers
 
@@ -71,6 +71,8 @@ class Parser(argparse.ArgumentParser):
         settings: dict[str, Any] = {"allow_abbrev": False, "formatter_class": Help} | options
         super().__init__(**settings)
 
+    elsewhere: ClassVar[Mapping[str, str]] = {"train": "; training: python -m eldata.examples.train_denoiser"}
+
     def error(self, message: str) -> NoReturn:
         """Print one line and exit with 2."""
         line = " ".join(message.split())
@@ -87,14 +89,17 @@ class Parser(argparse.ArgumentParser):
             if name.startswith("--") and " " not in name and name not in known:
                 where = ", and a command's options come after its name" if self._subparsers is not None else ""
                 self.error(f"there is no option {name}{where}{did_you_mean(name, known)}")
-        return super().parse_known_args(texts, namespace)
+        known_arguments, extra = super().parse_known_args(texts, namespace)
+        if extra and self._subparsers is None:  # or the program would say it, and point to its own help
+            self.error(f"unrecognized arguments: {' '.join(extra)}")
+        return known_arguments, extra
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Refuse an unknown command or choice, with the known ones and a similar one."""
         if action.choices is None or value in action.choices:
             return
         known = [str(choice) for choice in action.choices]
-        hint = did_you_mean(str(value), known)
+        hint = did_you_mean(str(value), known) or self.elsewhere.get(str(value), "")
         if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001 # its only name
             raise argparse.ArgumentError(None, f"there is no command {value!r}; commands are {', '.join(known)}{hint}")
         raise argparse.ArgumentError(action, f"invalid choice: {value!r} (choose from {', '.join(known)}){hint}")

@@ -41,7 +41,7 @@ def add_options(parser: console.Parser) -> None:
 def add_set(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose a set, by name or manifest."""
     which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument("--dataset", metavar="N", help="name in eldata info, such as eld")
+    which.add_argument("--dataset", metavar="N", help="name in eldata info, such as eld, or a manifest")
     which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own")
 
 

@@ -143,6 +143,8 @@ def run(arguments: console.Arguments) -> int:
         isos, hot = _format_isos(iso.iso for iso in shading.isos), int(shading.hot.sum())
         print(f"\ndark shading: {arguments.dark_shading}; ISO {isos}; {counted(hot, 'hot pixel')} left as measured")
         print(f"    {shading.digest}")
+        if arguments.crop:
+            print("    of whole frames, as it is subtracted: --crop chooses the area of the figures alone")
         for note in shading.notes:
             print(f"    {note}")
 

@@ -79,6 +79,7 @@ def run(arguments: console.Arguments) -> int:
             whole=arguments.pictures == "whole",
             workers=Workers(arguments.jobs),
         )
+        print(f"written: {arguments.html}")
 
     console.show_and_write(arguments, format_text, comparison.as_dict, arguments.html and write_page)
     return console.OK

@@ -23,6 +23,8 @@ from eldata.cli.baseline import add_pairs, add_set
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from eldata.base.tables import Format
     from eldata.base.workers import Workers
     from eldata.evaluation.comparison import Comparison
@@ -47,6 +49,8 @@ def add_options(parser: console.Parser) -> None:
     console.add_cameras(parser)
     parser.add_argument("--allow-missing", action="store_true", help="score the rest if files are missing")
     parser.add_argument("--strict", action="store_true", help="refuse predictions that show a mistake")
+    text = "exit with 0 although predictions show a mistake"
+    parser.add_argument("--allow-suspect", action="store_true", help=text)
     add_output(parser, "--csv", help="write the score of each image to FILE; -: to standard output")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the table (default: text)")
     add_output(parser, "--html", help="write a page with plots and pictures to FILE")
@@ -89,7 +93,17 @@ def run(arguments: console.Arguments) -> int:
             lambda: _show_result(result, arguments),
             arguments.html and write_page,  # last, because it takes longest
         )
-    return console.OK if result.scored and not result.problems else console.PROBLEMS
+    return _find_code([result], arguments)
+
+
+def _find_code(results: Collection[EvaluationResult], arguments: console.Arguments) -> int:
+    """Find the exit code: 1 for what has no scores, has problems, or is suspect."""
+    if any(not result.scored or result.problems for result in results):
+        return console.PROBLEMS
+    if arguments.allow_suspect or not any(result.suspicions for result in results):
+        return console.OK
+    print("eldata evaluate: SUSPECT predictions; if they are right, --allow-suspect makes this exit 0", file=sys.stderr)
+    return console.PROBLEMS
 
 
 def _check_places(request: Request, *folders: Path) -> None:
@@ -170,8 +184,7 @@ def _run_several(arguments: console.Arguments) -> int:
     console.each_of(
         None if out is None else lambda: write_results(out, results, comparison), show, write_page, print_next_command
     )
-    all_well = all(result.scored and not result.problems for result in results.values())
-    return console.OK if all_well else console.PROBLEMS
+    return _find_code(results.values(), arguments)
 
 
 def _make_pictures_command(comparison: Comparison, arguments: console.Arguments) -> str:

@@ -20,7 +20,7 @@ from eldata.errors import EldataError
 
 def add_options(parser: console.Parser) -> None:
     """Add the options of `eldata info`."""
-    parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
+    parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld, or its manifest")
     console.add_shared(parser, run, "root", json=True)
 
 

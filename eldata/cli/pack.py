@@ -32,7 +32,7 @@ REFERENCE_HELP = "pattern of the clean frames' paths, such as '*/long/*', or '*'
 
 def add_options(parser: console.Parser) -> None:
     """Add the options of `eldata pack`."""
-    text = "a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), or a folder of clean raws"
+    text = "a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), its manifest, or a folder of clean raws"
     parser.add_argument("dataset", metavar="DATASET", help=text)
     add_output(parser, "-o", "--output", metavar="STORE", required=True, help="a new file, such as store.h5")
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, instead of the shipped one")
@@ -64,6 +64,7 @@ def run(arguments: console.Arguments) -> int:
 
 def _choose_source(arguments: console.Arguments) -> Source:
     """Open the frames to pack: of a folder of raws, or of a dataset by name."""
+    from eldata.manifest.catalogue import is_manifest, is_name
     from eldata.sources.store.write import source_of_dataset, source_of_folder
 
     if not Path(arguments.dataset).is_dir() or arguments.manifest is not None:
@@ -71,7 +72,7 @@ def _choose_source(arguments: console.Arguments) -> Source:
             raise ArgumentError("--reference is for a folder of raws: the manifest of a dataset says what is clean")
         if arguments.dataset == _CALIBRATION and arguments.manifest is None:
             return _find_calibration(arguments)
-        if arguments.manifest is None and Path(arguments.dataset).name != arguments.dataset:  # no name has slashes
+        if arguments.manifest is None and not is_name(arguments.dataset) and not is_manifest(arguments.dataset):
             problem = folder_problem(Path(arguments.dataset))
             raise ArgumentError(f"{arguments.dataset}: {problem}; give a folder of camera raws, or a dataset's name")
         options = console.chosen(arguments, ("root", "manifest", "cameras", "split", "subset", "ids"))

@@ -75,9 +75,10 @@ def _choose_protocols(names: list[str], dataset: str | None) -> list[Protocol]:
         else:
             chosen.append(get_protocol(name))
     if dataset is not None:
+        known = known_names()
         chosen = [protocol for protocol in chosen if protocol.covers(dataset)]
-        if all(protocol.dataset == ANY_DATASET for protocol in chosen):
-            known = known_names()
+        of = {protocol.dataset for protocol in chosen} - {ANY_DATASET}
+        if not of or dataset not in (*known, *of):
             raise ArgumentError(
                 f"no protocol is for dataset {dataset!r}; eldata info lists the datasets{did_you_mean(dataset, known)}"
             )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 from eldata.base.tables import frame_of
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, DrawnItem, Part, keywords_of, take_choice
-from eldata.manifest.catalogue import FrameFiles, is_name, known_manifest, load_manifest
+from eldata.manifest.catalogue import FrameFiles, find_manifest
 from eldata.protocols.named import default_protocol
 from eldata.records import Records
 from eldata.sources.frames import Files
@@ -199,8 +199,8 @@ class PairDataset(SourcePairs):
     manifest
         A manifest's CSV file, or the name of a shipped one.
     cameras, scenes, isos, ratios
-        Which pairs; ``None`` means all. A scene is its name or its number: 3 for ``scene-3``, 34 for ``00034``. A ratio
-        is the nominal one.
+        Which pairs: values, or one alone; ``None`` means all. A scene is its name or its number: 3 for ``scene-3``, 34
+        for ``00034``. A ratio is the nominal one.
     split
         Name of a split, or several.
     subset
@@ -269,7 +269,7 @@ class PairDataset(SourcePairs):
         seed: int = 0,
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "root", "manifest")
-        loaded = known_manifest(str(manifest)) if is_name(manifest) else load_manifest(manifest)
+        loaded = find_manifest(manifest)
         self.root = loaded.own_folder(root)
         records = take_choice(options).pairs(loaded.records, loaded.card.subsets)
         files = Files(FrameFiles.of(self.root, loaded.card, loaded.records), loaded.records, loaded.card)

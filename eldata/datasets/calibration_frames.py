@@ -14,8 +14,8 @@ from eldata.base.numbers import counted
 from eldata.base.tables import block, frame_of, table
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError, did_you_mean
-from eldata.manifest.catalogue import FrameFiles, data_root, is_name, known_manifest, load_manifest
-from eldata.manifest.pairs import WARM_SENSOR
+from eldata.manifest.catalogue import FrameFiles, data_root, find_manifest
+from eldata.manifest.pairs import WARM_SENSOR, as_values
 from eldata.manifest.patterns import expand
 from eldata.raw.files import RAW_EXTENSIONS, is_raw, of_arrays
 from eldata.records import FrameRecord
@@ -107,7 +107,7 @@ class CalibrationFrames:
     ) -> None:
         self.skipped: tuple[str, ...] = ()
         if manifest is not None:
-            loaded = known_manifest(str(manifest)) if is_name(manifest) else load_manifest(manifest)
+            loaded = find_manifest(manifest)
             self.root = loaded.own_folder(root)
             records = tuple(
                 record
@@ -124,7 +124,7 @@ class CalibrationFrames:
             self.root = data_root() / _FOLDER if root is None else Path(root)
             self._files = FrameFiles(self.root)
             self.camera, records, self.skipped = _find_in_folders(self.root, camera)
-        self.records = _keep_isos(records, isos)
+        self.records = _keep_isos(records, as_values(isos))
 
     @property
     def isos(self) -> tuple[Fraction, ...]:

@@ -25,7 +25,7 @@ from eldata.manifest.catalogue import (
 )
 from eldata.manifest.clips import moment_name
 from eldata.manifest.layouts import DYNAMIC, scan_raw
-from eldata.manifest.pairs import splits_of
+from eldata.manifest.pairs import as_values
 from eldata.raw.levels import CAMERA_LEVELS_DN
 from eldata.sources.frames import Files, no_folder
 
@@ -159,7 +159,7 @@ class SIDDataset(PairDataset):
         shipped = _SID_MANIFESTS[camera]
         if levels in CAMERA_LEVELS_DN and levels != shipped:
             raise ArgumentError(f"levels {levels!r} are of another camera; those of {camera!r} are {shipped!r}")
-        names = splits_of(split)
+        names = as_values(split)
         if names is not None:
             for name in names:
                 check_choice("split", name, _SID_SPLITS)
@@ -458,6 +458,7 @@ class CRVDDataset(ClipWindows):
 
 def _list_moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collection[int]) -> list[FrameRecord]:
     """Return the rows of pairs as moments of sequences (:mod:`eldata.manifest.clips`), of these noisy shots alone."""
+    shots = as_values(shots) or ()
     if not {*shots} <= set(SHOTS):
         raise ArgumentError(f"shots must be of 0 to {len(SHOTS) - 1}; found {list(shots)}")
     chosen = {pair.path for pair in pairs}

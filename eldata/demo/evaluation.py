@@ -95,6 +95,10 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0, beside: str = "dct
     sheet = folder / "contact-sheet.png"
     _draw_sheet(sheet, manifest.folder(root), predictions, results)
     print(f"\nTo look at: {sheet}. Scores of each image: {folder}/*.csv. Took {time.perf_counter() - start:.0f} s.")
+    page, place = (shlex.quote(str(folder / name)) for name in ("page.html", "predictions/network"))
+    files = " ".join(shlex.quote(str(folder / f"{name}.json")) for name in results)
+    print(f"Next:\n$ eldata evaluate {place} --manifest {listed} {at_root} --html {page}")
+    print(f"$ eldata compare {files}\n$ eldata demo {shlex.quote(str(folder))} --train")
     return results
 
 

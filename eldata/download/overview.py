@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.tables import wrapped
 from eldata.download.archives import STAGING, size_text
-from eldata.manifest.catalogue import carded_names, data_root, known_manifest, shipped_card, shipped_names
+from eldata.manifest.catalogue import carded_names, data_root, find_manifest, known_names, shipped_card, shipped_names
 from eldata.manifest.patterns import is_pattern, matching
 
 if TYPE_CHECKING:
@@ -73,7 +73,9 @@ class Overview:
     @property
     def verify_command(self) -> str:
         """The command that checks the files."""
-        return f"eldata verify {self.card.name} --root {shlex.quote(str(self.root))} --level metadata"
+        own = self.manifest is not None and self.card.name not in known_names()
+        name = shlex.quote(str(self.manifest.path)) if own and self.manifest else self.card.name
+        return f"eldata verify {name} --root {shlex.quote(str(self.root))} --level metadata"
 
     @property
     def download_command(self) -> str:
@@ -85,7 +87,8 @@ class Overview:
         """The next step: get the files, check them, or list one's own."""
         if self.presence is None:
             return "list your copy of camera raws: eldata manifest FOLDER -o mine.csv (docs/adding-a-dataset.md)"
-        return self.verify_command if self.presence.complete else self.download_command
+        own = self.card.name not in known_names()
+        return self.verify_command if self.presence.complete or own else self.download_command
 
     @property
     def row(self) -> tuple[str, ...]:
@@ -200,4 +203,4 @@ def overview_of(name: str, root: Path | str | None = None) -> Overview:
     """
     if name in carded_names() and name not in shipped_names():
         return Overview(shipped_card(name), data_root(root))
-    return overview(known_manifest(name), root)
+    return overview(find_manifest(name, root), root)

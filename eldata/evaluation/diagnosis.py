@@ -15,12 +15,14 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass
-from statistics import fmean
+from itertools import combinations
+from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldata.evaluation.mistakes import GAIN_DB, Blocks, cut_margin, find_curve, find_place, is_copied_input
+from eldata.raw.levels import BAYER_CHANNELS, packing_sites, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.mistakes import Circumstances
+    from eldata.evaluation.mistakes import Circumstances, Undoing
 
     Array: TypeAlias = NDArray[Any]
 
@@ -140,7 +142,8 @@ def find_mistake(prediction: Array, target: Array, psnr_db: float, now: Circumst
     if is_copied_input(p, inner, blocks, now):
         return Mistake("as if the noisy input, amplified, were copied")
     explanations: list[tuple[float, Mistake]] = []
-    for undoing in filter(None, (find_curve(p, g, now), find_place(p, inner, now))):
+    whole = _find_quadrants(prediction, target, now)
+    for undoing in filter(None, (whole, find_curve(p, g, now), find_place(p, inner, now))):
         words, undo, least_db = undoing
         if undo is None:
             explanations.append((GAIN_DB, Mistake(words)))
@@ -148,7 +151,54 @@ def find_mistake(prediction: Array, target: Array, psnr_db: float, now: Circumst
         without_db = now.score(np.ascontiguousarray(undo(prediction), prediction.dtype)).psnr_db
         if without_db - psnr_db >= least_db:
             explanations.append((without_db - psnr_db, Mistake(words, without_db)))
-    return max(explanations, key=lambda explanation: explanation[0])[1] if explanations else None
+    if explanations:
+        return max(explanations, key=lambda explanation: explanation[0])[1]
+    restored = _restore_clipped(prediction, target)
+    if restored is None or now.score(restored).psnr_db - psnr_db < GAIN_DB:
+        return None
+    return Mistake(f"as if clipped at {float(prediction.max()):.3g}")
+
+
+def _find_quadrants(prediction: Array, target: Array, now: Circumstances) -> Undoing | None:
+    """Recognise a mosaic whose quadrants are the four planes: each of its channels shows them in small."""
+    from scipy.optimize import linear_sum_assignment
+
+    if now.sensor is None or len(prediction) != len(BAYER_CHANNELS):
+        return None
+    cfa = packing_sites(now.sensor.cfa).cfa  # as the packed area has it
+    likeness = float(sketch(_cut_quadrants(prediction[0])) @ sketch(target))
+    if likeness < max(_LIKE, float(sketch(prediction) @ sketch(target)) + _LIKER):
+        return None
+
+    def undo(image: Array) -> Array:
+        """Put the planes into the order of the reference's channels."""
+        planes = _cut_quadrants(unpack(image, cfa))
+        agreement = planes.reshape(len(planes), -1) @ target.reshape(len(target), -1).T
+        return planes[np.argsort(linear_sum_assignment(agreement, maximize=True)[1])]
+
+    return "as if the four planes were the quadrants of one mosaic", undo, GAIN_DB
+
+
+def _cut_quadrants(plane: Array) -> Array:
+    """Cut (H, W) into (4, H/2, W/2)."""
+    height, width = (size // 2 for size in plane.shape)
+    return np.stack([plane[y : y + height, x : x + width] for y in (0, height) for x in (0, width)])
+
+
+_CLIPPED_SHARE, _BEYOND = 1e-3, 1.2  # of values at a prediction's highest; by how much the reference exceeds that
+
+
+def _restore_clipped(prediction: Array, target: Array) -> Array | None:
+    """Put the reference, on the prediction's scale, where the prediction is cut off; ``None`` if it is not."""
+    top = prediction.max()
+    clipped = prediction == top
+    kept_sum, light = (float(image[~clipped].sum(dtype=np.float64)) for image in (prediction, target))
+    if clipped.mean() < _CLIPPED_SHARE or min(kept_sum, light) <= 0:
+        return None
+    scale = light / kept_sum
+    if target[clipped].mean(dtype=np.float64) < _BEYOND * scale * top:
+        return None
+    return np.where(clipped, target / scale, prediction).astype(prediction.dtype)
 
 
 # --- which frames, and what they say together -------------------------------------------------------------------------
@@ -200,7 +250,9 @@ def find_suspicions(inspections: Sequence[Inspection]) -> tuple[Suspicion, ...]:
 
     A prediction of another frame is a mistake wherever it occurs.
     """
-    return (*_find_exchanged(inspections), *_find_shared_mistakes(inspections, min(2, len(inspections))))
+    exchanged = _find_exchanged(inspections)
+    shared = _find_shared_mistakes(inspections, min(2, len(inspections)))
+    return (*exchanged, *shared) or tuple(_find_exchanged_cameras(inspections))
 
 
 def _find_shared_mistakes(inspections: Sequence[Inspection], fewest: int, depth: int = 0) -> list[Suspicion]:
@@ -254,6 +306,26 @@ def _find_exchanged(inspections: Sequence[Inspection]) -> list[Suspicion]:
     words = f"as if of another frame: that of {first.path} is like the reference of {its.path}"
     score = fmean([inspection.psnr_db for inspection, _ in exchanged])
     return [Suspicion(words, "", len(exchanged), len(inspections), score, None, first.path)]
+
+
+_SURE = 2.0  # standard errors by which a camera's predictions fit another's references better
+
+
+def _find_exchanged_cameras(inspections: Sequence[Inspection]) -> list[Suspicion]:
+    """Suspect two cameras' predictions if those of either fit the other's references better than their own."""
+    cameras, suspicions = _group_by(inspections, lambda inspection: inspection.camera), []
+    for first, second in combinations(cameras, 2):
+        gains = []
+        for camera, other in ((first, second), (second, first)):
+            references = np.stack([inspection.reference for inspection in cameras[other]])
+            fits = [(references @ own.prediction).max() - own.reference @ own.prediction for own in cameras[camera]]
+            gains.append([float(fit) for fit in fits])
+        if all(len(of) >= EACH and fmean(of) > _SURE * stdev(of) / math.sqrt(len(of)) for of in gains):
+            members = [*cameras[first], *cameras[second]]
+            score = fmean([inspection.psnr_db for inspection in members])
+            words = f"as if the predictions of {first} and {second} were exchanged"
+            suspicions.append(Suspicion(words, "", len(members), len(inspections), score, None, members[0].path))
+    return suspicions
 
 
 def _group_by(inspections: Sequence[Inspection], key: Callable[[Inspection], Any]) -> dict[Any, list[Inspection]]:

@@ -72,7 +72,7 @@ def evaluate(
         clip's frame ``DSC00005.ARW`` is ``<clip>/DSC00005.<ext>``, whatever folders the frame lies in; that of a
         preprocessed RGB frame is (3, h, w) or a 16-bit RGB PNG, in the order R, G, B.
     dataset
-        Name of a shipped manifest, such as ``eld`` or, of clips, ``drv``.
+        Name of a set, such as ``eld`` or, of clips, ``drv``; or a manifest.
     protocol
         Name of a protocol (:mod:`eldata.protocols`) or of a family, such as ``pmn``; the path of a TOML file; or a
         protocol. Default: the one that the dataset's card names, such as ``eld``, ``sid`` or ``drv-rgb``; if it names
@@ -94,7 +94,8 @@ def evaluate(
         Leave out pairs or clips that the manifest flags so, such as ``["misaligned"]``; the result says how many.
         Default: none.
     allow_missing
-        Whether to score the rest if predictions are missing or unusable; the table shows the coverage. Default: False.
+        Whether to score the rest if predictions or raw files are missing or unusable; the table shows the coverage,
+        ``problems`` name them. Default: False.
     baseline
         ``"input"``, instead of ``predictions``: score the noisy input itself, amplified and clipped as the protocol
         has it. Default: None.
@@ -261,8 +262,9 @@ def scored_pairs(
     if found.problems and not (allow_missing and found.files):
         more = f" (and {len(found.problems) - 1} more: eldata evaluate lists all)" if len(found.problems) > 1 else ""
         raise EldataError(f"{found.problems[0]}{more}")
-    files, _ = require_pairs(request, plan.pairs)
-    return yield_compared(request, files, plan.pairs, None if predictions is None else found.files)
+    files, _, unusable = require_pairs(request, plan.pairs)
+    pairs = [pair for pair in plan.pairs if unusable.keys().isdisjoint(pair.files)]
+    return yield_compared(request, files, pairs, None if predictions is None else found.files)
 
 
 def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
@@ -278,12 +280,15 @@ def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
     with first.workers_for(plan.pairs).sharing() as workers:  # processes are started once, for checks and scores
         first = replace(first, workers=workers)
         found = [_find_predictions(request, plan) for request in requests]
-        files, white_notes = require_pairs(first, plan.pairs)
+        files, white_notes, unusable = require_pairs(first, plan.pairs)
+        usable = [pair for pair in plan.pairs if unusable.keys().isdisjoint(pair.files)]
         predictions = [
             None if request.predictions is None else those.files if request.allow_missing or not those.problems else {}
             for request, those in zip(requests, found, strict=True)
         ]
-        outcomes = score_predictions(first, files, plan.pairs, predictions)
+        outcomes = score_predictions(first, files, usable, predictions)
+    lost = [EvaluationProblem(path, reason.removeprefix(f"{path}: ")) for path, reason in unusable.items()]
+    found = [replace(those, problems=(*those.problems, *lost)) for those in found]
     results = map(_make_result, requests, repeat(plan), found, outcomes)
     return [replace(result, notes=(*result.notes, *white_notes)) for result in results]
 
@@ -394,7 +399,7 @@ def write_notes(
     if odd:
         notes.append(
             f"rescaled by less than {low:.2g} or more than {high:g}: {len(odd)} of {len(scores)} predictions, such as "
-            f"{odd[0].name} by {odd[0].rescale:.3g}; is their scale that of the reference?"
+            f"{odd[0].name} by {odd[0].rescale:.3g}; are they scaled like the reference?"
         )
     if perfect := [score.name for score in scores if score.psnr_db == float("inf")]:
         what, units = "equal to their reference exactly", "predictions"

@@ -381,6 +381,6 @@ def interval_note(result: EvaluationResult) -> str:
     """Explain the intervals in a sentence or two."""
     return (
         f"Intervals: {LEVEL:.0%}, Student's t over {over_scenes(shared=result.scenes_shared)}, because "
-        f"{result.kind.units} of one scene err together. There is none with fewer than {FEWEST_SCENES} scenes. They "
-        "say how far the mean would move with other scenes like these, not how exact a score is."
+        f"{result.kind.units} of one scene have correlated errors. There is none below {FEWEST_SCENES} scenes. "
+        "They say how far the mean would move with other scenes like these, not how exact a score is."
     )

@@ -487,7 +487,7 @@ def _check_values(path: Path, values: NDArray[Any], cure: str) -> None:
         first = tuple(int(axis) for axis in np.unravel_index(int(bad.argmax()), bad.shape))
         raise PredictionError(
             path,
-            f"expected finite values, found {int(bad.sum())} NaN or infinite, the first at {first}; mend the model",
+            f"expected finite values, found {int(bad.sum())} NaN or infinite, the first at {first}; fix the model",
         )
     if high <= _SCALE_LIMIT:
         return

@@ -19,15 +19,14 @@ from eldata.manifest.card import find_subset
 from eldata.manifest.catalogue import (
     FrameFiles,
     Manifest,
-    known_manifest,
-    load_manifest,
+    find_manifest,
     shipped_manifest,
     shipped_names,
 )
 from eldata.manifest.clips import choose_clips, clip_place, clips_of, windows
 from eldata.manifest.layouts import describe_layout
 from eldata.manifest.pair_checks import white_remarks
-from eldata.manifest.pairs import Choice, unpaired
+from eldata.manifest.pairs import Choice, as_values, unpaired
 from eldata.manifest.patterns import expand, is_png
 from eldata.manifest.verify import check_files
 from eldata.metrics.registry import IMAGES, Kind
@@ -131,16 +130,16 @@ def make_request(
     ManifestError, ArgumentError
         If the manifest is malformed, a name is unknown, or options do not go together.
     """
-    known = known_manifest(dataset) if manifest is None else load_manifest(manifest)
+    known = find_manifest(dataset if manifest is None else manifest, root)
     request = Request(
         manifest=known,
         folder=known.folder(root),
         predictions=None if predictions is None else Path(predictions),
         protocol=_state_shading(_choose_protocol(protocol, known), dark_shading),
-        cameras=cameras,
+        cameras=as_values(cameras),
         subset=subset,
-        ids=ids,
-        exclude_flags=exclude_flags,
+        ids=as_values(ids),
+        exclude_flags=as_values(exclude_flags) or (),
         allow_missing=allow_missing,
         strict=strict,
         task=None if task is None else Task.of(task),
@@ -480,28 +479,40 @@ def require_folder(request: Request) -> None:
         )
 
 
-def require_pairs(request: Request, pairs: Iterable[Pair]) -> tuple[FrameFiles, tuple[str, ...]]:
-    """Check the files of these pairs; return their frames' source, and remarks on white levels that differ.
+def require_pairs(request: Request, pairs: Iterable[Pair]) -> tuple[FrameFiles, tuple[str, ...], dict[str, str]]:
+    """Check the files of these pairs; return their frames' source, remarks on white levels, unusable files by path.
 
-    Raise :class:`DatasetError` unless the manifest means them.
+    Raise :class:`DatasetError` unless the manifest means them. Files are unusable that are missing or damaged, if the
+    request allows that.
     """
     needed = {path for pair in pairs for path in pair.files}
     rows = [row for row in request.manifest.records if row.role in ("noisy", "reference")]
     require_folder(request)
     listed = rows if request.kind is IMAGES else expand(rows, request.folder)
     chosen, files = [row for row in listed if row.path in needed], request.files.absolute()
-    levels_dn = check_rows(request, chosen, "metadata")
+    unusable: dict[str, str] = {}
+    levels_dn = check_rows(request, chosen, "metadata", unusable if request.allow_missing else None)
     if not (request.protocol.is_of_packed and request.protocol.levels == "metadata"):
-        return files, ()
-    remarks = white_remarks(chosen, levels_dn, files, request.workers)
-    return files, tuple(remark.sentence() for remark in remarks)
+        return files, (), unusable
+    remarks = white_remarks([row for row in chosen if row.path not in unusable], levels_dn, files, request.workers)
+    return files, tuple(remark.sentence() for remark in remarks), unusable
 
 
-def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> dict[str, MeanLevels | None]:
-    """Raise :class:`DatasetError` unless these rows' files are what the manifest says; return known levels by path."""
+def check_rows(
+    request: Request, rows: Sequence[FrameRecord], level: Level, unusable: dict[str, str] | None = None
+) -> dict[str, MeanLevels | None]:
+    """Raise :class:`DatasetError` unless these rows' files are what the manifest says; return known levels by path.
+
+    With ``unusable`` files that are missing or damaged are put there, in words by path, instead.
+    """
     problems, _, _, levels_dn = check_files(
         request.manifest, request.folder, rows, level=level, workers=request.workers
     )
+    if unusable is not None:
+        lost = [problem for problem in problems if problem.field in ("file", "folder", "size_bytes", "content")]
+        for problem in lost:
+            unusable |= {row.path: str(problem) for row in rows if row.path.startswith(problem.path)}
+        problems = tuple(problem for problem in problems if problem not in lost)
     if problems:
         more = f" (and {len(problems) - 1} more: eldata verify --level metadata lists all)" if len(problems) > 1 else ""
         raise DatasetError(f"{request.folder}: the dataset is not what its manifest says: {problems[0]}{more}")

@@ -380,6 +380,26 @@ def known_manifest(name: str) -> Manifest:
     return manifest
 
 
+def _own_path(name: str, root: Path | str | None) -> Path | None:
+    """Find NAME.csv of a set of one's own: here, or in the folder ``manifests`` in the data root or beside it."""
+    places = Path(), data_root(root) / "manifests", data_root(root).parent / "manifests"
+    return next((place / f"{name}.csv" for place in places if (place / f"{name}.csv").is_file()), None)
+
+
+def find_manifest(dataset: Path | str, root: Path | str | None = None) -> Manifest:
+    """Load the manifest of a set: its CSV file, a known set's by its name, or NAME.csv of one's own.
+
+    Raises
+    ------
+    ManifestError
+        Like :func:`load_manifest` and :func:`known_manifest`.
+    """
+    own = dataset
+    if is_name(dataset):
+        own = (dataset not in known_names() and _own_path(str(dataset), root)) or ""
+    return load_manifest(own) if own else known_manifest(str(dataset))
+
+
 def known_manifests(root: Path | str | None = None) -> tuple[tuple[Manifest, ...], tuple[str, ...]]:
     """Load the manifests of all known sets as files are checked against them, and say why some cannot be loaded.
 
@@ -450,6 +470,8 @@ def find_manifests(where: Path | str | Iterable[Path | str], root: Path | str | 
     if not isinstance(where, (str, Path)):
         return tuple(manifest for one in where for manifest in find_manifests(one, root))
     if is_name(where):
+        if where not in known_names() and (own := _own_path(str(where), root)):
+            return (load_manifest(own),)
         if where not in known_names():
             raise ManifestError(
                 f"{where}: there is no such file or folder, and {_explain_unknown(str(where), known_names())}"

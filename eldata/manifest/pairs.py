@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect
+from collections.abc import Collection
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from eldata.base.fields import names_of
 from eldata.errors import ArgumentError, did_you_mean
@@ -13,7 +14,7 @@ from eldata.manifest.card import find_subset
 from eldata.records import PairRecord, from_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from fractions import Fraction
 
     from eldata.manifest.card import Subset
@@ -62,9 +63,8 @@ class Choice:
     @property
     def wanted_values(self) -> dict[str, Collection[object] | None]:
         """The wanted values by kind, for :func:`filter_rows`."""
-        split, flags = splits_of(self.split), self.exclude_flags
-        values = self.cameras, self.scenes, self.isos, self.ratios, split, flags
-        return dict(zip(("camera", "scene", "ISO", "ratio", "split", "flag"), values, strict=True))
+        values = self.cameras, self.scenes, self.isos, self.ratios, self.split, self.exclude_flags
+        return dict(zip(("camera", "scene", "ISO", "ratio", "split", "flag"), map(as_values, values), strict=True))
 
     def pairs(self, records: Iterable[FrameRecord], subsets: Sequence[Subset] = ()) -> tuple[PairRecord, ...]:
         """Return the chosen pairs of a manifest's rows, in their order.
@@ -94,9 +94,9 @@ class Choice:
         return tuple(filter_rows(chosen, pairs, "pair", self.wanted_values))
 
 
-def splits_of(split: str | Collection[str] | None) -> Collection[str] | None:
-    """Return one split, or several, as a collection."""
-    return (split,) if isinstance(split, str) else split
+def as_values(wanted: Any) -> Collection[Any] | None:
+    """Return the wanted values: one alone as a collection of one; ``None`` as it is."""
+    return wanted if wanted is None or (isinstance(wanted, Collection) and not isinstance(wanted, str)) else (wanted,)
 
 
 def unpaired(records: Iterable[FrameRecord], subset: Subset) -> tuple[FrameRecord, ...]:
@@ -124,9 +124,6 @@ def filter_rows(
     ArgumentError
         If a value does not occur; the message lists those that do. If nothing has all of them.
     """
-    for kind, values in wanted.items():
-        if isinstance(values, str):
-            raise ArgumentError(f"give {kind} values as a list: [{values!r}]")
     kept = list(chosen)
     for kind, values in wanted.items():
         if values is None or kind == "flag":

@@ -181,9 +181,9 @@ def _missing(
 ) -> Problem:
     """Return the problem that rows have no file, or no folder ``top``."""
     path, other = folder / top, elsewhere.get(lost[0].path)
+    beside = visible_below(path.parent, deep=False)
+    alike = [other.name for other in beside if other.name.casefold() == path.name.casefold()]
     if top == lost[0].path:
-        beside = visible_below(path.parent, deep=False)
-        alike = [other.name for other in beside if other.name.casefold() == path.name.casefold()]
         found, advice = "nothing", COPY_AGAIN
         if path.is_dir():
             found, advice = "a folder", "move it away and copy the file"
@@ -192,6 +192,8 @@ def _missing(
         return row_fault(top, "file", "a file", found, advice)
     if other is not None:
         found, advice = f"{lost[0].path} in another place, {other}", "move it, and the others, to where they are listed"
+    elif alike:
+        found, advice = f"only {alike[0]}/", f"rename it to {path.name}"
     else:
         found, advice = "no such folder", "unpack it there"
         if len(manifest.card.cameras) > 1 and len({record.camera for record in lost}) == 1:

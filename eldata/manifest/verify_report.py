@@ -73,11 +73,12 @@ def distinct(remarks: Iterable[tuple[str, tuple[str, ...]]]) -> tuple[FileRemark
     alike: dict[str, list[tuple[str, str]]] = {}
     for path, texts in remarks:
         for text in texts:
-            alike.setdefault(_FIGURE.sub("0", text), []).append((path, text))
+            alike.setdefault(FIGURE.sub("0", text), []).append((path, text))
     return tuple(FileRemark(found[0][0], len(found), found[0][1]) for found in alike.values())
 
 
-_FIGURE = re.compile(r"(?<!\w)-?[0-9]+(\.[0-9]+)?")
+FIGURE = re.compile(r"(?<!\w)-?[0-9]+(\.[0-9]+)?(e[+-][0-9]+)?")
+"""A figure in a text: texts that differ in nothing else are alike."""
 
 
 @dataclass(frozen=True, slots=True)

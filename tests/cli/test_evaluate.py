@@ -192,6 +192,17 @@ def test_one_pass_writes_what_single_runs_write(eldata: Cli, tree: Tree, several
         assert name in outcome.out
 
 
+def test_suspect_predictions_are_problems(eldata: Cli, tree: Tree, several: list[Path], tmp_path: Path) -> None:
+    """Unless they are allowed; so says the last line."""
+    for file in several[0].rglob("*.npy"):
+        np.save(file, np.load(file)[[0, 1, 3, 2]])
+    for arguments in ([several[0]], [*several[:2], "-o", tmp_path / "results"]):
+        outcome = eldata("evaluate", *arguments, *tree.arguments)
+        assert (outcome.code, "--allow-suspect makes this exit 0" in outcome.err) == (1, True), outcome.err
+        assert "SUSPECT: as if packed R, G1, G2, B" in outcome.out
+        assert eldata("evaluate", *arguments, *tree.arguments, "--allow-suspect").code == 0
+
+
 def test_what_is_printed_draws_the_pictures(eldata: Cli, tree: Tree, several: list[Path], tmp_path: Path) -> None:
     """And what compare prints of the results is what was printed with them."""
     out = tmp_path / "my results"

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from eldata import ELDDataset, PackedStore, evaluate
+from eldata.evaluation.results import load_result
 from eldata.manifest.catalogue import ENTRY_POINTS, load_manifest, save_manifest, shipped_manifest
 from tests.trees import build_published_tree
 
@@ -99,6 +101,21 @@ def test_lock_by_name_writes_beside_the_data_and_verify_finds_it(dusk: Path, eld
     outcome = eldata("verify", "dusk", *root)
     assert outcome.code == 2
     assert "is of dusk 1.0, and eldata knows dusk 9.9; move it away, and lock again" in outcome.err
+
+
+def test_a_set_of_ones_own_by_its_name_or_manifest(
+    own: Tree, predictions: Path, eldata: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In every command that takes a dataset; the name, if its manifest is at the data root, beside it, or here."""
+    monkeypatch.chdir(own.folder)
+    wanted = evaluate(predictions, manifest=own.manifest, root=own.root)
+    for name in ("eld-demo", "manifests/eld-demo.csv"):
+        for words in (("info", name), ("verify", name), ("pack", name, "-o", tmp_path / f"{len(name)}.h5")):
+            assert eldata(*words).code == 0, words
+        outcome = eldata("evaluate", predictions, "--dataset", name, "--json", tmp_path / "result.json")
+        assert (outcome.code, load_result(tmp_path / "result.json").scores) == (0, wanted.scores)
+        assert len(ELDDataset(manifest=name, cameras="DemoAlpha")) == 6
+    assert len(PackedStore(tmp_path / "8.h5")) == 24
 
 
 def test_verify_without_a_name_names_what_is_not_there(eldata: Cli, tmp_path: Path) -> None:

@@ -61,6 +61,8 @@ def test_help_is_a_word_as_well_as_an_option(eldata: Cli) -> None:
     [
         ("frobnicate", "there is no command 'frobnicate'; commands are"),
         ("verfy", "did you mean verify? See eldata --help"),
+        ("train", "training: python -m eldata.examples.train_denoiser"),
+        ("info eld sid", "eldata info: unrecognized arguments: sid; see eldata info --help"),
         ("profile shwo", "did you mean show? See eldata profile --help"),
         ("evaluate x --datset eld", "there is no option --datset; did you mean --dataset? See"),
         ("--level full verify eld", "no option --level, and a command's options come after its name"),
@@ -97,6 +99,7 @@ def test_help_is_a_word_as_well_as_an_option(eldata: Cli) -> None:
             "protocols --dataset edl",
             "no protocol is for dataset 'edl'; eldata info lists the datasets; did you",
         ),
+        ("protocols --dataset eld-x", "no protocol is for dataset 'eld-x'"),
         ("synthesize x -o y --camera SonyA7S2 --ratio a", "expected a number or two such as 100:300, found 'a'"),
         ("synthesize x -o y --camera SonyA7S2 --split 9", "expected two shares such as 95:5, found '9'"),
         ("synthesize x -o y --camera SonyA7S2 --model P*+D", "component D takes real dark frames; give --dark-frames"),

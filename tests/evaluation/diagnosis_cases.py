@@ -281,6 +281,10 @@ OF_BAYER: dict[str, tuple[Making, str]] = {
     "packed as if BGGR": (_reordered(2, 3, 0, 1), "as if packed B, G2, R, G1"),
     "packed as if GRBG": (_reordered(1, 0, 3, 2), "as if packed G1, R, G2, B"),
     "packed as if GBRG": (_reordered(3, 2, 1, 0), "as if packed G2, B, G1, R"),
+    "planes as quadrants": (
+        lambda p, shot, _protocol: pack(np.block([[p[0], p[1]], [p[3], p[2]]]), shot.camera.sensor.cfa),
+        "as if the four planes were the quadrants of one mosaic",
+    ),
 }
 OF_XTRANS: dict[str, tuple[Making, str]] = {
     "R and B exchanged": (
@@ -306,6 +310,7 @@ OF_LEVELS: dict[str, tuple[Making, str]] = {
         _in_dn(lambda dn, black, _white, other: (dn - black) / (other - black)),
         "as if normalised with white level",
     ),
+    "clipped at 0.25": (_alone(lambda p: np.minimum(p, np.float32(0.25))), "as if clipped at 0.25"),
     "not amplified": (_amplified(-1), "as if not amplified"),
     "amplified twice": (_amplified(1), "as if amplified twice"),
     "the input copied": (

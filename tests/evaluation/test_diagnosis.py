@@ -235,6 +235,16 @@ def test_an_evaluation_says_what_would_explain_its_score(larger: Tree, tmp_path:
     assert str(found) in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
+def test_exchanged_cameras_are_noticed(larger: Tree, tmp_path: Path) -> None:
+    """Whose scenes are the same, so that no single prediction is like another scene."""
+    place(tmp_path, larger)
+    assert evaluate(tmp_path, **larger.where).suspicions == ()
+    for old, new in (("DemoAlpha", "x"), ("DemoBeta", "DemoAlpha"), ("x", "DemoBeta")):
+        (tmp_path / old).rename(tmp_path / new)
+    (found,) = evaluate(tmp_path, **larger.where).suspicions
+    assert found.words == "as if the predictions of DemoAlpha and DemoBeta were exchanged"
+
+
 def test_strict_refuses(larger: Tree, tmp_path: Path) -> None:
     place(tmp_path, larger, reordered)
     options: dict[str, Any] = larger.where | {"strict": True}

@@ -78,10 +78,18 @@ def copied(tree: Tree, tmp_path: Path) -> Tree:
 
 
 @pytest.mark.parametrize("number", ["0011", "0004"])  # a reference, and a noisy frame, which predictions do not need
-def test_missing_frame(copied: Tree, predictions: Path, number: str) -> None:
-    (copied.files / f"DemoBeta/scene-1/IMG_{number}.dng").unlink()
-    with pytest.raises(DatasetError, match=rf"DemoBeta/scene-1/IMG_{number}\.dng.*expected a file, found nothing"):
-        evaluate(predictions, **copied.where, allow_missing=True)
+def test_missing_frame(tree: Tree, copied: Tree, predictions: Path, result: EvaluationResult, number: str) -> None:
+    """Or a damaged one: nothing is scored, unless the rest is asked for."""
+    missing, damaged = f"DemoBeta/scene-1/IMG_{number}.dng", "DemoAlpha/scene-1/IMG_0005.dng"
+    (copied.files / missing).unlink()
+    (copied.files / damaged).write_bytes((copied.files / damaged).read_bytes()[:3000])
+    with pytest.raises(DatasetError, match=r"IMG_0005\.dng: content: .* \(and 1 more: "):
+        evaluate(predictions, **copied.where)
+    allowed = evaluate(predictions, **copied.where, allow_missing=True)
+    assert [problem.path for problem in allowed.problems] == [damaged, missing]
+    left = {pair.path for pair in tree.pairs if {missing, damaged} & {pair.path, pair.reference}}
+    assert set(allowed.missing) == left
+    assert allowed.scores == tuple(score for score in result.scores if score.path not in left)
 
 
 # --- names ----------------------------------------------------------------------------------------------------

@@ -225,6 +225,9 @@ def test_problems_alike_stand_together_and_none_is_uncounted() -> None:
     assert lines == ["b/scene-0/000.dng: b", "14 alike: a", f"  {some} and 8 more"]
     lines = problem_lines(problems_of((4, "a"), *((1, f"b{number}") for number in range(30))))
     assert (len(lines), lines[20]) == (21, "... and 12 more (--json FILE lists all)")
+    span = ["found (4, 9, 3) up to 1.5e+04 in 2", "found (4, 12, 3) up to 2e+03 in 2"]
+    lines = problem_lines([EvaluationProblem(text[7:10], text) for text in span])
+    assert lines[0] == "2 alike: found (4, 9..12, 3) up to 2e+03..1.5e+04 in 2"
     assert problem_lines([EvaluationProblem("a\x1b[2J\n.npy", "is\todd")]) == ["a\\x1b[2J\\n.npy: is\\todd"]
 
 

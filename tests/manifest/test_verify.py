@@ -122,6 +122,11 @@ def take(number: int, iso: int | None, exposure_s: Fraction | None) -> Callable[
     [
         (lambda tree: shutil.rmtree(tree.data / BETA), "quick", [(f"{BETA}/", "folder", "no such folder")]),
         (
+            lambda tree: (tree.data / "DemoBeta").rename(tree.data / "demobeta"),
+            "quick",
+            [("DemoBeta/", "folder", "only demobeta/")],
+        ),
+        (
             lambda tree: shutil.move(tree.data / "DemoBeta", tree.data / "more" / "DemoBeta"),
             "quick",
             [("DemoBeta/", "folder", f"{frame(1, BETA)} in another place, more/{frame(1, BETA)}")],

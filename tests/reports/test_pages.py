@@ -185,7 +185,7 @@ def test_remarks_come_first_and_once(page: str) -> None:
 
 def test_nothing_to_be_wary_of(xtrans: str, isos: tuple[IsoCalibration, ...]) -> None:
     quiet = replace(calibrations.calibration(isos[:1]), remarks=())
-    assert "Nothing was found to be wary of." in checked(calibration_page(quiet)).text
+    assert "No problems found." in checked(calibration_page(quiet)).text
     assert "Read before use: 3 remarks, on the calibration as a whole." in checked(xtrans).text  # no fit over one ISO
 
 

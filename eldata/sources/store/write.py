@@ -24,7 +24,7 @@ from eldata.base.files import atomic_write, inside
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.card import card_text
-from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest
+from eldata.manifest.catalogue import FrameFiles, Manifest, find_manifest, known_manifest, load_manifest
 from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.layouts import scan_raw
 from eldata.manifest.own import clean_raws
@@ -135,8 +135,8 @@ def source_of_dataset(
         folder = _require_folder(known_manifest("drv"), root)
         scan = scan_raw(folder)
         return _source_of_clips(scan.card, scan.records, folder, choice, ids)
-    loaded = known_manifest(name) if manifest is None else load_manifest(manifest)
-    if loaded.name != name:
+    loaded = find_manifest(name if manifest is None else manifest, root)
+    if manifest is not None and loaded.name != name:
         raise ArgumentError(f"{manifest}: is the manifest of {loaded.name!r}, not of {name!r}")
     folder = _require_folder(loaded, root)
     if _holds_clips(loaded.records):

@@ -105,9 +105,8 @@ class ClipWindows(CroppedItems):
         isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
         split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
         levels: FrameLevels = "metadata", clip: Clipping = "both", amplification: Amplification = "metadata",
-        dark_shading: DarkShading | Path | str | None = None,
+        dark_shading: DarkShading | Path | str | None = None, transform: Transform | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
-        transform: Transform | None = None,
     ) -> None:  # fmt: skip
         self._is_paired = not dynamic
         self.region = region

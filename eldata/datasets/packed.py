@@ -123,9 +123,8 @@ class PackedClips(ClipWindows):
         isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
         split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
         levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
-        dark_shading: DarkShading | Path | str | None = None,
+        dark_shading: DarkShading | Path | str | None = None, transform: Transform | None = None,
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
-        transform: Transform | None = None,
     ) -> None:  # fmt: skip
         options, source = keywords_of(locals(), "path"), Store(path)
         if source.manifest is None:

@@ -365,9 +365,8 @@ class DRVDataset(ClipWindows):
         isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
         split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
         levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
-        dark_shading: DarkShading | Path | str | None = None,
+        dark_shading: DarkShading | Path | str | None = None, transform: Transform | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
-        transform: Transform | None = None,
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "root", "form", "manifest", "reference")
         check_choice("form", form, get_args(Form))
@@ -446,9 +445,8 @@ class CRVDDataset(ClipWindows):
         isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
         split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
         levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
-        dark_shading: DarkShading | Path | str | None = None,
+        dark_shading: DarkShading | Path | str | None = None, transform: Transform | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
-        transform: Transform | None = None,
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "root", "shots", "manifest")
         listed = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)

@@ -143,7 +143,7 @@ def test_a_transform_gets_the_whole_sample(kind: str, pristine: Tree, store: Pat
 
 
 def test_an_error_of_a_transform_names_the_item(store: Path) -> None:
-    broken = PackedStore(store, crop=8, transform=break_down, cameras=["DemoAlpha"])  # type: ignore[arg-type]
+    broken = PackedStore(store, crop=8, transform=break_down, cameras=["DemoAlpha"])
     (number,) = (place for place, one in enumerate(broken.records) if one.path.endswith("IMG_0005.dng"))
     for work in (lambda: broken[number], lambda: broken.__getitems__([number])):
         with pytest.raises(KeyError, match="inptu") as caught:

@@ -211,7 +211,7 @@ def test_a_batch_has_the_score_of_each_image_and_its_gradient(metric: Metric) ->
     weights = torch.from_numpy(p).requires_grad_()
     (-metric(weights, torch.from_numpy(g)).mean()).backward()
     assert weights.grad is not None
-    assert (weights.grad.dtype, weights.grad.isfinite().all()) == (torch.float32, True)
+    assert (weights.grad.dtype, bool(weights.grad.isfinite().all())) == (torch.float32, True)
 
 
 def test_tensors_that_are_refused() -> None:

@@ -279,11 +279,10 @@ class SyntheticPairs(NoisyItems):
         source: CleanSource,
         profiles: Cameras,
         *,
-        crops_per_frame: int = 1,
+        crops_per_frame: int = 1, transform: Transform | None = None,
         model: NoiseMaker | None = None, clip: Clip = "both", ratio: float | tuple[float, float] = (100.0, 300.0),
         iso: Isos | None = None, range_dn: float | None = None, row: RowChoice | None = None, extrapolate: bool = False,
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
-        transform: Transform | None = None,
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "crops_per_frame")
         super().__init__(method="frame", repeats=("crops_per_frame", crops_per_frame), **options)
@@ -332,12 +331,10 @@ class SyntheticClips(NoisyItems):
         source: ClipSource,
         profiles: Cameras,
         *,
-        frames: int = 5,
-        windows_per_clip: int = 1,
+        frames: int = 5, windows_per_clip: int = 1, transform: Transform | None = None,
         model: NoiseMaker | None = None, clip: Clip = "both", ratio: float | tuple[float, float] = (100.0, 300.0),
         iso: Isos | None = None, range_dn: float | None = None, row: RowChoice | None = None, extrapolate: bool = False,
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
-        transform: Transform | None = None,
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "frames", "windows_per_clip")
         if frames < 1 or windows_per_clip < 1:

@@ -91,7 +91,7 @@ def test_clean_crops_are_those_of_the_raw_files(tmp_path: Path) -> None:
         )
         for mine, other in zip(ours, theirs, strict=True):
             assert mine["path"].rpartition("/")[2] == other["path"].rpartition("/")[2]
-            same(dict(mine) | {"path": ""}, dict(other) | {"path": ""})
+            same(dict(mine) | {"path": "", "reference": ""}, dict(other) | {"path": "", "reference": ""})
 
 
 # --- choices and refusals -----------------------------------------------------------------------------------------
@@ -304,7 +304,7 @@ def test_clean_clips_are_those_of_the_raw_files(tmp_path: Path) -> None:
         for number in range(2):
             same_frames(ours.clip(number), theirs.clip(number))
         made = [SyntheticClips(clips, "SonyA7S2", frames=2, crop=8, seed=2)[1] for clips in (ours, theirs)]
-        same(*(dict(sample) | {"path": ""} for sample in made))
+        same(*(dict(sample) | {"path": "", "reference": ""} for sample in made))
     assert "2 clips" in repr(ours)
     with pytest.raises(ArgumentError, match="levels must be one of"):
         CleanClips(store, levels="x")  # type: ignore[arg-type]

@@ -35,7 +35,7 @@ def private_mb(process):
 def main():
     path, workers = sys.argv[1], int(sys.argv[2])
     before, start = private_mb("self"), time.perf_counter()
-    loader = training_loader(PackedStore(path, crop=16), 4, workers=workers)
+    loader = training_loader(PackedStore(path, crop=16), 4, num_workers=workers)
     batches = iter(loader)
     next(batches)
     seconds = time.perf_counter() - start

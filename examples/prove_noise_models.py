@@ -294,7 +294,7 @@ def train(
     runs = bench.folder / "runs"
     runs.mkdir(exist_ok=True)
     checkpoint = runs / f"{bench.camera}.{name}.pt"
-    loader = training_loader(training_data(bench, row, seed), recipe.batch, seed=seed, workers=0)
+    loader = training_loader(training_data(bench, row, seed), recipe.batch, seed=seed, num_workers=0)
     settings = {"camera": bench.camera, "row": row, "seed": seed, **asdict(recipe)}
     network = recipe.network(seed)
     training = Training(

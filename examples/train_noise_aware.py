@@ -98,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     pairs = noisy_pairs(clean, options.batch, options.crop, seed)
     training = Training(
         network.to(memory_format=torch.channels_last),  # type: ignore[call-overload] # torch's stub
-        training_loader(pairs, options.batch, seed=seed, workers=options.workers, device=options.device),
+        training_loader(pairs, options.batch, seed=seed, num_workers=options.workers, device=options.device),
         steps=options.steps,
         learning_rate=options.rate,
         loss=decibels,

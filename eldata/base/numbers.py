@@ -156,3 +156,15 @@ def _check(
     elif at_most < LARGEST_WHOLE:
         limits = f" from {at_least} to {at_most}"
     raise ArgumentError(f"expected {kind.format(limits)}, found {shown(source)}")
+
+
+def checked_index(place: int, length: int) -> int:
+    """Resolve an index, which may count from the end; raise :class:`IndexError` outside of ``length`` items."""
+    try:
+        place = index(place)
+    except TypeError:
+        advice = "torch.utils.data.Subset(dataset, range(10)) holds the first ten"
+        raise ArgumentError(f"an item's index is one whole number; found {place!r}; {advice}") from None
+    if not -length <= place < length:
+        raise IndexError(f"index {place} is outside of {length} items")
+    return place % length

@@ -65,3 +65,8 @@ def shown(value: object, longest: int = _LONGEST_SHOWN) -> str:
 def named_field(name: str) -> str:
     """Return a field's name as a message shows it."""
     return name if name.isprintable() and len(name) <= _LONGEST_SHOWN else shown(name)
+
+
+def name_of(maker: object) -> str:
+    """Name a callable: a function by its name, an object by its repr."""
+    return str(getattr(maker, "__qualname__", None) or repr(maker))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from functools import cache
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 from eldata.base.tables import frame_of
 from eldata.datasets.crops import Crop
@@ -21,9 +22,9 @@ if TYPE_CHECKING:
 
     import numpy as np
     import pandas as pd
-    import torch
 
-    from eldata.datasets.items import Crops
+    from eldata.datasets.items import Crops, Transform
+    from eldata.manifest.clips import ClipRecord
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
     from eldata.raw.levels import Clip, FrameLevels
@@ -34,51 +35,25 @@ if TYPE_CHECKING:
 SIDES = ("input", "target")
 
 
-class Sample(TypedDict):
-    """One pair, as torch's default collate accepts it.
-
-    ``input`` and ``target`` are (C, h, w) float32, normalised, the input multiplied by ``ratio``: the files' own
-    exposure ratio, or with another ``amplification`` the manifest's nominal one, which ``nominal_ratio`` always is.
-    ``iso`` and ``exposure_s`` (seconds) are the noisy file's.
-    """
-
-    input: torch.Tensor
-    target: torch.Tensor
-    ratio: float
-    nominal_ratio: float
-    iso: float
-    exposure_s: float
-    camera: str
-    scene: str
-    split: str
-    path: str
-    reference: str
-    flags: str
-
-
 # Pairs whose frames stay open, 2 kB each. To open one again takes a tenth of a millisecond.
 _MOST_OPEN = 4096
 
 
-def _facts_of(record: PairRecord, pair: OpenedPair) -> dict[str, Any]:
-    """Return the fields of a :class:`Sample` that are not tensors."""
+def facts_of(record: PairRecord | ClipRecord, pair: OpenedPair) -> dict[str, Any]:
+    """Return the facts of a :class:`~eldata.datasets.items.Sample` that are known of an opened pair."""
     exposure = pair.input.exposure
+    numbers = {"ratio": pair.ratio, "nominal_ratio": record.ratio}
+    numbers |= {"iso": exposure.iso, "exposure_s": exposure.exposure_s}
     return {
-        "ratio": float(record.ratio if pair.ratio is None else pair.ratio),
-        "nominal_ratio": record.nominal_ratio,
-        "iso": float(exposure.iso or 0),
-        "exposure_s": float(exposure.exposure_s or 0),
-        "camera": record.camera,
-        "scene": record.scene,
-        "split": record.split,
-        "path": record.path,
-        "reference": record.reference,
+        **{name: float(value or math.nan) for name, value in numbers.items()},
+        **{name: getattr(record, name) for name in ("camera", "scene", "split", "path")},
+        "reference": record.reference or "",
         "flags": ";".join(record.flags),
     }
 
 
-class SourcePairs(CroppedItems[Sample]):
-    """Pairs of frames of any source: ``dataset[i]`` is a :class:`Sample`.
+class SourcePairs(CroppedItems):
+    """Pairs of frames of any source: ``dataset[i]`` is a :class:`~eldata.datasets.items.Sample`.
 
     Parameters
     ----------
@@ -88,7 +63,7 @@ class SourcePairs(CroppedItems[Sample]):
         The pairs.
     name
         Of the dataset.
-    levels, clip, amplification, dark_shading, crop, augment, crops, crops_per_frame, seed
+    levels, clip, amplification, dark_shading, crop, augment, crops, crops_per_frame, seed, transform
         As of :class:`PairDataset`; by default the levels of the files.
     """
 
@@ -103,7 +78,7 @@ class SourcePairs(CroppedItems[Sample]):
         levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0,
+        seed: int = 0, transform: Transform | None = None,
     ) -> None:  # fmt: skip
         self.source = source
         self.records: tuple[PairRecord, ...] = Records(records)
@@ -111,7 +86,7 @@ class SourcePairs(CroppedItems[Sample]):
         self._choose_values(levels, clip, amplification, dark_shading, (record.camera for record in self.records))
         self._opener = PairOpener(source, levels, amplification, self.dark_shading)
         self.crops_per_frame = crops_per_frame
-        super().__init__(crop, augment, crops, seed, ("crops_per_frame", crops_per_frame))
+        super().__init__(crop, augment, crops, seed, transform, ("crops_per_frame", crops_per_frame))
         self._pairs: dict[int, OpenedPair] = {}
         if self.reads_parts:
             self._check_pairs()
@@ -139,7 +114,7 @@ class SourcePairs(CroppedItems[Sample]):
         if pair is None:
             target = target.without_pixels()
             pair = self._opener.open_pair(record, target)
-        yield Part("input", pair.input, gain=pair.gain, facts=_facts_of(record, pair))
+        yield Part("input", pair.input, gain=pair.gain, facts=facts_of(record, pair))
 
     def _check_pairs(self) -> None:
         """Refuse frames that are not a pair. One pair of each kind is opened: the source knows all but pixels."""
@@ -190,7 +165,7 @@ class SourcePairs(CroppedItems[Sample]):
 
 
 class PairDataset(SourcePairs):
-    """Pairs of a manifest, decoded from their files: ``dataset[i]`` is a :class:`Sample`.
+    """Pairs of a manifest, decoded from their files: ``dataset[i]`` is a :class:`~eldata.datasets.items.Sample`.
 
     Parameters
     ----------
@@ -237,6 +212,10 @@ class PairDataset(SourcePairs):
     seed
         First part of each item's seed, below 2^128: draw k of item i depends on (seed, k, i) alone. The k-th time that
         an item is asked for it is draw k, whatever the workers; after :meth:`set_epoch` always that of the epoch.
+    transform
+        A callable that gets a whole sample, a dict, after crop and noise, and returns it, or what you make of it. It is
+        called in workers, which it must be sent to: a function at the top of a module, or a module of torchvision's v2.
+        Plots show samples without it.
 
     Raises
     ------
@@ -266,7 +245,7 @@ class PairDataset(SourcePairs):
         levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0,
+        seed: int = 0, transform: Transform | None = None,
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "root", "manifest")
         loaded = find_manifest(manifest)

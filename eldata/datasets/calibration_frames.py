@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import defaultdict
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
 from eldata.base.files import folder_problem, inside, visible_below
-from eldata.base.numbers import counted
+from eldata.base.numbers import checked_index, counted
 from eldata.base.tables import block, frame_of, table
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError, did_you_mean
@@ -181,15 +182,15 @@ class CalibrationFrames:
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> CalibrationSample:
-        """Decode one frame: its mosaic in DN, black level not subtracted; 0 for an ISO or time that is not stated."""
-        record = self.records[index]
+        """Decode one frame: its mosaic in DN, black level not subtracted; nan for an ISO or time that is not stated."""
+        record = self.records[checked_index(index, len(self))]
         frame = self.read(record)
         return CalibrationSample(
             mosaic=frame.mosaic,
             role=record.role,
             camera=record.camera,
-            iso=float(frame.exposure.iso or 0),
-            exposure_s=float(frame.exposure.exposure_s or 0),
+            iso=float(frame.exposure.iso or math.nan),
+            exposure_s=float(frame.exposure.exposure_s or math.nan),
             path=record.path,
         )
 
@@ -210,7 +211,7 @@ class CalibrationFrames:
 
         sample = self[index]
         facts = [f"{sample['camera']}, {sample['role']}", f"ISO {sample['iso']:g}"]
-        facts += [f"{sample['exposure_s']:g} s"] if sample["exposure_s"] else []
+        facts += [f"{sample['exposure_s']:g} s"] if sample["exposure_s"] > 0 else []
         return side_by_side(f"{', '.join(facts)}\n{sample['path']}", [("mosaic [DN]", sample["mosaic"])])
 
     def _repr_html_(self) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING
 
+from eldata.datasets.base import facts_of
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, DrawnItem, Part
 from eldata.errors import ArgumentError, DatasetError
@@ -24,10 +25,9 @@ if TYPE_CHECKING:
 
     import numpy as np
     import pandas as pd
-    import torch
 
     from eldata.datasets.crops import Region
-    from eldata.datasets.items import Crops
+    from eldata.datasets.items import Crops, Transform
     from eldata.manifest.card import Subset
     from eldata.manifest.clips import Clip, ClipRecord, FrameRange
     from eldata.noise.dark_shading import DarkShading
@@ -39,45 +39,13 @@ if TYPE_CHECKING:
     from eldata.sources.pairs import OpenedPair
 
 
-class UnpairedClipSample(TypedDict):
-    """A window of a clip without a reference, as torch's default collate accepts it.
-
-    ``input`` is (T, C, h, w) float32, normalised, multiplied by ``ratio``. ``iso`` and ``exposure_s`` (seconds) are the
-    first frame's. What the files do not state is nan. ``path`` is the first frame's file, ``start`` its position in the
-    clip.
-    """
-
-    input: torch.Tensor
-    ratio: float
-    iso: float
-    exposure_s: float
-    camera: str
-    scene: str
-    split: str
-    path: str
-    start: int
-
-
-class ClipSample(UnpairedClipSample):
-    """A window of a clip and its reference, as torch's default collate accepts it.
-
-    ``target`` is the one still that all frames are compared with, (C, h, w) float32: once, for a copy of it for each
-    frame would say nothing more. ``target.expand_as(input)`` repeats it without memory, and ``target[:, None]`` does so
-    in a batch. Of a sequence (:mod:`eldata.manifest.clips`) it has each frame's own, (T, C, h, w). The rest is as in
-    :class:`UnpairedClipSample`; ``reference`` is the reference's file, of a sequence the first frame's.
-    """
-
-    target: torch.Tensor
-    reference: str
-
-
 def _keep_pixels(frame: Frame) -> Frame:
     """Keep a frame as it is: the alternative to :meth:`Frame.without_pixels`."""
     return frame  # which reads parts, and holds none
 
 
-class ClipWindows(CroppedItems[ClipSample]):
-    """Windows of clips of any source: ``dataset[i]`` is a :class:`ClipSample`.
+class ClipWindows(CroppedItems):
+    """Windows of clips of any source: ``dataset[i]`` is a :class:`~eldata.datasets.items.Sample`.
 
     Parameters
     ----------
@@ -90,8 +58,7 @@ class ClipWindows(CroppedItems[ClipSample]):
     place
         Where the source is, for messages.
     dynamic
-        The clips have no reference: ``dataset[i]`` is an :class:`UnpairedClipSample`, which has no ``target``, and is
-        not amplified.
+        The clips have no reference: ``dataset[i]`` has no ``target``, and is not amplified.
     ids
         Which clips, such as ``["0007", "0013"]``: their scenes. ``None`` is all.
     window
@@ -110,7 +77,7 @@ class ClipWindows(CroppedItems[ClipSample]):
         Items per window: the length is this times the number of windows, and item i is of window i modulo that number.
     cameras, scenes, isos, ratios, split, subset, exclude_flags
         Which clips: those of whose noisy frames one is chosen, as of :class:`~eldata.datasets.base.PairDataset`.
-    levels, clip, amplification, dark_shading, crop, augment, crops, seed
+    levels, clip, amplification, dark_shading, crop, augment, crops, seed, transform
         As of :class:`~eldata.datasets.base.PairDataset`; by default the levels of the files.
 
     Raises
@@ -138,7 +105,7 @@ class ClipWindows(CroppedItems[ClipSample]):
         isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
         split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
         levels: FrameLevels = "metadata", clip: Clipping = "both", amplification: Amplification = "metadata",
-        dark_shading: DarkShading | Path | str | None = None,
+        dark_shading: DarkShading | Path | str | None = None, transform: Transform | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
         self._is_paired = not dynamic
@@ -147,7 +114,7 @@ class ClipWindows(CroppedItems[ClipSample]):
             raise ArgumentError(f"region must be (top, left, height, width), the sizes above 0; found {self.region}")
         if self.region is not None and crop is not None:
             raise ArgumentError("give a region or a crop, not both")
-        super().__init__(crop, augment, crops, seed, ("crops_per_window", crops_per_window))
+        super().__init__(crop, augment, crops, seed, transform, ("crops_per_window", crops_per_window))
         self.source = source
         self.root = place
         choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
@@ -202,11 +169,9 @@ class ClipWindows(CroppedItems[ClipSample]):
         else:
             crop = Crop.draw(first, generator, crop=self.crop, augment=self.augment, tile=tile)
         shapes: dict[str, tuple[int, ...]] = {"input": (len(record.frames), *crop.packed_shape)}
-        facts: dict[str, Any] = {}
         if self._is_paired:
             shapes["target"] = shapes["input"] if record.references else crop.packed_shape
-            facts["reference"] = record.reference
-        return DrawnItem(crop, shapes, self._parts(record, first), facts, first.sensor)
+        return DrawnItem(crop, shapes, self._parts(record, first), {}, first.sensor)
 
     def _parts(self, record: ClipRecord, opened: Frame) -> Iterator[Part]:
         """Yield each reference before its frames, in order, none of them opened before the one before it was read.
@@ -225,17 +190,10 @@ class ClipWindows(CroppedItems[ClipSample]):
                 target = forget(target)
             pair = self._open_pair(path, target, first, noisy)
             noisy = None
-            facts = {} if place else self._facts_of(record, pair)
+            facts = {} if place else facts_of(record, pair) | {"start": record.start}
             yield Part("input", pair.input, place, pair.gain, facts=facts)
             first = first or replace(pair, target=forget(pair.target), input=forget(pair.input))
             del pair
-
-    def _facts_of(self, record: ClipRecord, pair: OpenedPair) -> dict[str, Any]:
-        """Return the fields of a sample that are not tensors."""
-        facts = {name: getattr(record, name) for name in ("camera", "scene", "split", "path", "start")}
-        exposure, unknown = pair.input.exposure, math.nan
-        facts["ratio"] = unknown if pair.ratio is None else float(pair.ratio)
-        return facts | {"iso": float(exposure.iso or unknown), "exposure_s": float(exposure.exposure_s or unknown)}
 
     def _open_pair(
         self, path: str, target: Frame | None, first: OpenedPair | None, noisy: Frame | None = None

@@ -13,17 +13,18 @@ from bisect import bisect_right
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, fields
-from itertools import accumulate
+from itertools import accumulate, chain
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypedDict, get_args, get_type_hints
 
 import numpy as np
 import torch
 from torch.utils.data import Dataset
 
 from eldata.base.compiled import in_threads
+from eldata.base.numbers import checked_index
 from eldata.base.seeds import checked_epoch, checked_seed, item_generator
-from eldata.base.visible import in_line
+from eldata.base.visible import in_line, name_of
 from eldata.datasets.batches import Batch, Field, new_arrays, new_batch, reading_threads
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, EldataError, check_choice
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
 
 Crops = Literal["random", "grid"]
+Transform: TypeAlias = "Callable[[dict[str, Any]], Any]"
 _THUMBNAIL = 220  # columns or rows
 
 
@@ -101,13 +103,6 @@ def take_choice(options: dict[str, Any]) -> Choice:
     return Choice(**{field.name: options.pop(field.name) for field in fields(Choice)})
 
 
-def checked_index(index: int, length: int) -> int:
-    """Resolve an index, which may count from the end; raise :class:`IndexError` outside of ``length`` items."""
-    if not -length <= index < length:
-        raise IndexError(f"index {index} is outside of {length} items")
-    return index % length
-
-
 class Part(NamedTuple):
     """One read of an item: the crop of a frame, times ``gain``, into a tensor or one place of it.
 
@@ -148,10 +143,60 @@ class DrawnItem:
     sensor: Sensor | None
 
 
-Sample = TypeVar("Sample")
+class Sample(TypedDict):
+    """An item of any dataset, as torch's default collate accepts it, together with those of others.
+
+    ``input`` and ``target`` are (C, h, w) float32, normalised, the input multiplied by ``ratio``: the files' own
+    exposure ratio, or with another ``amplification`` the manifest's nominal one, which ``nominal_ratio`` always is; of
+    made noise both are the one that was drawn. ``iso`` and ``exposure_s`` (seconds) are the noisy file's; of made
+    noise the ISO is the one that was given or drawn. What is not known, or is not there, is nan, -1 or empty.
+
+    Of made noise ``path`` and ``reference`` say where the clean frame comes from, ``camera_id`` is the place of the
+    camera in the dataset, and from ``gain_dn_per_e`` on stand the parameters that it was made with
+    (:class:`eldata.noise.NoiseParameters`; ``colour_bias_dn`` is (4,) float64). ``dark_frame`` names the dark frame of
+    component D, of a clip the dark frames in order.
+
+    A window of a clip has ``input`` (T, C, h, w); its ``path`` and ``reference``, ISO and time are the first frame's,
+    ``start`` is that one's position in the clip, and ``clip`` the clip's in the source of made noise. ``target`` is the
+    one still that all frames are compared with, (C, h, w): ``target.expand_as(input)`` repeats it without memory, and
+    ``target[:, None]`` does so in a batch. Of a sequence (:mod:`eldata.manifest.clips`) and of made noise it has each
+    frame's own, (T, C, h, w); a clip without reference has none.
+    """
+
+    input: torch.Tensor
+    target: torch.Tensor
+    ratio: float
+    nominal_ratio: float
+    iso: float
+    exposure_s: float
+    camera: str
+    scene: str
+    split: str
+    path: str
+    reference: str
+    flags: str
+    camera_id: int
+    gain_dn_per_e: float
+    tukey_lambda: float
+    sigma_tl_dn: float
+    sigma_gauss_dn: float
+    sigma_row_dn: float
+    colour_bias_dn: torch.Tensor
+    dark_frame: str
+    clip: int
+    start: int
 
 
-class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
+_BLANK: dict[type, Any] = {float: math.nan, int: -1, str: ""}
+_UNKNOWN = {name: _BLANK[kind] for name, kind in get_type_hints(Sample).items() if kind in _BLANK}
+
+
+def _complete(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Add to an item's facts those that are not known."""
+    return {**_UNKNOWN, "colour_bias_dn": torch.from_numpy(np.full(4, np.nan)), **facts}
+
+
+class CroppedItems(Dataset[Sample], ABC):
     """Items that are crops: draw k of item i depends on (seed, k, i) alone, not on workers or other items.
 
     The k-th time that an item is asked for it is draw k, from 0 on, whatever the workers; after :meth:`set_epoch`
@@ -159,7 +204,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
 
     Parameters
     ----------
-    crop, augment, crops, seed
+    crop, augment, crops, seed, transform
         See :class:`eldata.datasets.base.PairDataset`.
     repeats
         Items per record, and the name of this argument.
@@ -174,9 +219,12 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
     source: Any = None
     _unit = "items"
 
-    def __init__(self, crop: int | None, augment: bool, crops: Crops, seed: int, repeats: tuple[str, int]) -> None:
+    def __init__(
+        self, crop: int | None, augment: bool, crops: Crops, seed: int, transform: Transform | None,
+        repeats: tuple[str, int],
+    ) -> None:  # fmt: skip
         name, number = repeats
-        self.seed = checked_seed(seed)
+        self.seed, self.transform = checked_seed(seed), transform
         if number < 1 or (crop is not None and crop < 2):
             raise ArgumentError(f"{name} must be 1 or more and crop 2 or more; found {number}, {crop}")
         check_choice("crops", crops, get_args(Crops))
@@ -314,7 +362,9 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
     def _outline(self) -> list[tuple[str, str]]:
         """Describe the dataset by names and values: all that its items depend on, for a repr is known again."""
         repeats = f"{self._repeats_name}={self._repeats}"
-        return [("items", f"{len(self)} {self._unit}, {self._crop_text}, {repeats}, seed={self.seed}")]
+        items = f"{len(self)} {self._unit}, {self._crop_text}, {repeats}, seed={self.seed}"
+        transform = [] if self.transform is None else [("transform", name_of(self.transform))]
+        return [("items", items), *transform]
 
     def _describe_values(self) -> str:
         """Describe in words how DN become values: levels, clip, amplification, dark shading."""
@@ -344,14 +394,28 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
             If a frame is smaller than the crop (with ``augment`` a mosaic needs one period of the CFA more), or the
             frames of an item do not belong together.
         """
-        sample: Any = self._read_sample(self.item(index))
-        return sample  # type: ignore[no-any-return] # a TypedDict of the subclass
+        sample: Sample = self._transform(self._read_sample(self.item(index)))
+        return sample
+
+    def _transform(self, sample: dict[str, Any]) -> Any:
+        """Return what the dataset's transform makes of a sample; its errors name the item."""
+        if self.transform is None:
+            return sample
+        place = sample["path"]  # it may change the sample
+        try:
+            made = self.transform(sample)
+        except Exception as error:
+            error.add_note(f"in transform= of {type(self).__name__}, for {place}")
+            raise
+        if made is None:
+            raise ArgumentError(f"{place}: transform= returned None; it returns the sample, changed or not")
+        return made
 
     def _read_sample(self, item: DrawnItem) -> dict[str, Any]:
         """Read a drawn item: its tensors and facts by name."""
         arrays = new_arrays([Field(name, shape, "<f4") for name, shape in item.shapes.items()])
         self._read_items([item], {name: array[None] for name, array in arrays.items()})
-        return {name: torch.from_numpy(array) for name, array in arrays.items()} | item.facts
+        return {name: torch.from_numpy(array) for name, array in arrays.items()} | _complete(item.facts)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Read the items of a batch into memory that is used again (:mod:`eldata.datasets.batches`).
@@ -360,6 +424,11 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         """
         if self._may_differ:
             return [self[index] for index in indices]
+        samples = self._read_batch(indices)
+        return samples if self.transform is None else [self._transform(dict(sample)) for sample in samples]
+
+    def _read_batch(self, indices: Sequence[int]) -> list[dict[str, Any]]:
+        """Read items into one piece of memory, or as they are where they do not fit one."""
         batch: Batch | None = None
         samples: list[dict[str, Any]] = []
         for group in [indices] if self.reads_parts else [[index] for index in indices]:
@@ -368,12 +437,12 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
             if batch is None:
                 batch = new_batch([Field(name, (len(indices), *shape), "<f4") for name, shape in shapes.items()])
             if batch is None or any(item.shapes != batch.shapes for item in items):
-                rest = indices[len(samples) + len(items) :]
+                rest = map(self.item, indices[len(samples) + len(items) :])  # each is drawn once the last one was read
                 made = [] if batch is None else batch.parts(samples)
-                return [*made, *map(self._read_sample, items), *(self[index] for index in rest)]
+                return [*made, *map(self._read_sample, chain(items, rest))]
             places = slice(len(samples), len(samples) + len(items))
             self._read_items(items, {name: array[places] for name, array in batch.arrays.items()})
-            samples += [dict.fromkeys(shapes) | item.facts for item in items]
+            samples += [dict.fromkeys(shapes) | _complete(item.facts) for item in items]
             del items  # their frames, before the next ones are decoded
         return [] if batch is None else batch.parts(samples)
 
@@ -407,7 +476,7 @@ def describe_sample(sample: Mapping[str, Any]) -> str:
     facts = [str(sample[name]) for name in ("camera", "scene") if sample.get(name)]
     for name, form in (("iso", "ISO {:g}"), ("ratio", "×{:g}"), ("start", "frame {:g}")):
         value = sample.get(name)
-        if value is not None and math.isfinite(value) and (value > 0 or name == "start"):
+        if value is not None and math.isfinite(value) and value > -(name == "start"):
             facts.append(form.format(value))
     return "\n".join(text for text in (", ".join(facts), str(sample.get("path", ""))) if text)
 

@@ -45,7 +45,7 @@ def training_loader(
     dataset: Dataset[Any],
     batch_size: int,
     *,
-    workers: int | None = None, seed: int = 0, device: torch.device | str | None = None, prefetch: int = 2,
+    num_workers: int | None = None, seed: int = 0, device: torch.device | str | None = None, prefetch: int = 2,
     start_method: StartMethod = "forkserver", collate: Callable[[list[Any]], Any] | None = None,
     rank: Rank | None = None,
 ) -> DataLoader[Any]:  # fmt: skip
@@ -60,7 +60,7 @@ def training_loader(
         One with ``len`` and indices. Its items should depend on (seed, draw, index) alone, as this package's do.
     batch_size
         Items per batch; the last batch is dropped if it is smaller.
-    workers
+    num_workers
         Number of worker processes; 0 reads in this process; ``None`` chooses by CPUs and memory, for which one item is
         read.
     seed
@@ -88,11 +88,11 @@ def training_loader(
     --------
     >>> from eldata import PackedStore
     >>> from eldata.datasets import training_loader
-    >>> loader = training_loader(PackedStore("demo.h5", crop=64, seed=0), 4, workers=0)
+    >>> loader = training_loader(PackedStore("demo.h5", crop=64, seed=0), 4, num_workers=0)
     >>> len(loader), next(iter(loader))["input"].shape
     (6, torch.Size([4, 4, 64, 64]))
     """
-    reading = workers, prefetch, start_method, device
+    reading = num_workers, prefetch, start_method, device
     return _Loader(dataset, batch_size, reading, seed, rank, collate, is_training=True)
 
 
@@ -100,7 +100,7 @@ def evaluation_loader(
     dataset: Dataset[Any],
     batch_size: int = 1,
     *,
-    workers: int | None = None, seed: int = 0, device: torch.device | str | None = None, prefetch: int = 2,
+    num_workers: int | None = None, seed: int = 0, device: torch.device | str | None = None, prefetch: int = 2,
     start_method: StartMethod = "forkserver", collate: Callable[[list[Any]], Any] | None = None,
     rank: Rank | None = None,
 ) -> DataLoader[Any]:  # fmt: skip
@@ -110,7 +110,7 @@ def evaluation_loader(
     of batches: gather their results afterwards, and do not synchronise batch by batch. Parameters and errors are those
     of :func:`training_loader`; but the last batch may be smaller, and a rank may have none.
     """
-    reading = workers, prefetch, start_method, device
+    reading = num_workers, prefetch, start_method, device
     return _Loader(dataset, batch_size, reading, seed, rank, collate, is_training=False)
 
 
@@ -277,7 +277,7 @@ def _choose_settings(
         count, why = loader_workers(nbytes * batch_size, prefetch, start_method, rank)
         reasons.append(f"workers: {count} ({why})")
     elif workers < 0:
-        raise ArgumentError(f"workers must be 0 or more; found {workers}")
+        raise ArgumentError(f"num_workers must be 0 or more; found {workers}")
     else:
         count = workers
         reasons.append(f"workers: {count} (as asked)")
@@ -309,7 +309,7 @@ def _check_can_be_sent(dataset: Any, start_method: StartMethod) -> None:
     """Refuse a dataset that cannot be pickled for worker processes."""
     if start_method == "fork":
         return
-    advice = "define what it holds at the top of a module, or give start_method='fork' or workers=0"
+    advice = "define what it holds at the top of a module, or give start_method='fork' or num_workers=0"
     if type(dataset).__module__ == "__main__" and not hasattr(sys.modules["__main__"], "__file__"):
         raise ArgumentError(
             f"{type(dataset).__name__} is defined in an interactive session, which workers cannot import; {advice}"

@@ -6,7 +6,7 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import no_search_for_cycles
-from eldata.datasets.base import Sample, SourcePairs
+from eldata.datasets.base import SourcePairs
 from eldata.datasets.clips import ClipWindows
 from eldata.datasets.items import CroppedItems, SharedDraws, keywords_of, take_choice
 from eldata.errors import ArgumentError, DatasetError
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from eldata.datasets.crops import Region
-    from eldata.datasets.items import Crops, DrawnItem
+    from eldata.datasets.items import Crops, DrawnItem, Transform
     from eldata.manifest.clips import FrameRange
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class PackedStore(SourcePairs):
-    """Pairs from a store that ``eldata pack`` made: ``dataset[i]`` is a :class:`~eldata.datasets.base.Sample`.
+    """Pairs from a store that ``eldata pack`` made: ``dataset[i]`` is a :class:`~eldata.datasets.items.Sample`.
 
     Each item is a random crop of both frames of a pair, in one of eight orientations. Its values are those of the raw
     route (:class:`~eldata.datasets.base.PairDataset` on the files) at the same place, bit for bit. Draws are those of
@@ -39,7 +39,7 @@ class PackedStore(SourcePairs):
     path
         The store.
     cameras, scenes, isos, ratios, split, subset, exclude_flags, levels, clip, amplification, dark_shading, crop, \
-    augment, crops, crops_per_frame, seed
+    augment, crops, crops_per_frame, seed, transform
         As for :class:`~eldata.datasets.base.PairDataset`: the store holds DN, so nothing of them is fixed by it.
 
     Raises
@@ -76,7 +76,7 @@ class PackedStore(SourcePairs):
         levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0,
+        seed: int = 0, transform: Transform | None = None,
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "path")
         with no_search_for_cycles():
@@ -87,7 +87,7 @@ class PackedStore(SourcePairs):
 
 
 class PackedClips(ClipWindows):
-    """Windows of clips of a store: ``dataset[i]`` is a :class:`~eldata.datasets.clips.ClipSample`.
+    """Windows of clips of a store: ``dataset[i]`` is a :class:`~eldata.datasets.items.Sample`.
 
     The clips are those that have a reference, or with ``dynamic`` those that have none, such as DRV's dynamic ones.
     Each item is a window of consecutive frames and their one reference, all cut at the same random place and turned the
@@ -98,7 +98,7 @@ class PackedClips(ClipWindows):
     path
         The store, as ``eldata pack drv`` or ``eldata pack drv-raw`` makes it.
     dynamic, ids, window, stride, frames, region, crops_per_window, cameras, scenes, isos, ratios, split, subset, \
-    exclude_flags, levels, clip, amplification, dark_shading, crop, augment, crops, seed
+    exclude_flags, levels, clip, amplification, dark_shading, crop, augment, crops, seed, transform
         As for :class:`~eldata.datasets.clips.ClipWindows`.
 
     Raises
@@ -123,7 +123,7 @@ class PackedClips(ClipWindows):
         isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
         split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
         levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
-        dark_shading: DarkShading | Path | str | None = None,
+        dark_shading: DarkShading | Path | str | None = None, transform: Transform | None = None,
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
         options, source = keywords_of(locals(), "path"), Store(path)
@@ -140,7 +140,7 @@ class PackedClips(ClipWindows):
         super().__init__(source, rows, source.manifest.card.subsets, source.path, **options)
 
 
-class Noise2Noise(CroppedItems[Sample]):
+class Noise2Noise(CroppedItems):
     """Two noisy frames of one scene, ISO and ratio: the input, and instead of the clean target another one.
 
     J. Lehtinen et al., ICML 2018, and the row of that name in K. Wei et al., TPAMI 2021. The samples are those of the
@@ -164,7 +164,7 @@ class Noise2Noise(CroppedItems[Sample]):
         if not pairs.reads_parts:
             raise ArgumentError("Noise2Noise reads two noisy frames of a scene at once: pack the dataset, eldata pack")
         repeats = "crops_per_frame", pairs.crops_per_frame
-        super().__init__(pairs.crop, pairs.augment, pairs.crops, pairs.seed, repeats)
+        super().__init__(pairs.crop, pairs.augment, pairs.crops, pairs.seed, pairs.transform, repeats)
         self.pairs = pairs
         self.source, self.clip = pairs.source, pairs.clip
         groups: dict[object, list[int]] = defaultdict(list)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.datasets.crops import Region
-    from eldata.datasets.items import Crops
+    from eldata.datasets.items import Crops, Transform
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.clips import FrameRange
     from eldata.manifest.layouts import Scan
@@ -80,7 +80,7 @@ class ELDDataset(PairDataset):
         levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0,
+        seed: int = 0, transform: Transform | None = None,
     ) -> None:  # fmt: skip
         super().__init__(**keywords_of(locals()))
 
@@ -152,7 +152,7 @@ class SIDDataset(PairDataset):
         levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "nominal",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0,
+        seed: int = 0, transform: Transform | None = None,
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "camera")
         check_choice("camera", camera, _SID_MANIFESTS)
@@ -201,7 +201,7 @@ class LRDDataset(PairDataset):
         levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "nominal",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0,
+        seed: int = 0, transform: Transform | None = None,
     ) -> None:  # fmt: skip
         super().__init__(**keywords_of(locals()))
 
@@ -242,7 +242,7 @@ class LRIDDataset(PairDataset):
         levels: FrameLevels | None = None, clip: Clip = "none", amplification: Amplification = "nominal",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0,
+        seed: int = 0, transform: Transform | None = None,
     ) -> None:  # fmt: skip
         super().__init__(**keywords_of(locals()))
 
@@ -284,7 +284,7 @@ class SIDDDataset(PairDataset):
         levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0,
+        seed: int = 0, transform: Transform | None = None,
     ) -> None:  # fmt: skip
         if manifest is None:
             manifest = "sidd-blocks" if subset in ("validation", "benchmark") else "sidd"
@@ -297,10 +297,10 @@ Form = Literal["preprocessed", "raw"]
 class DRVDataset(ClipWindows):
     """The clips of DRV: static ones with a reference, dynamic ones without; preprocessed, or as camera raws.
 
-    ``dataset[i]`` is a :class:`~eldata.datasets.clips.ClipSample`, of dynamic clips an
-    :class:`~eldata.datasets.clips.UnpairedClipSample`: input alone. As the authors preprocessed them, frames are RGB,
-    binned, amplified and denoised by VBM4D: C = 3 in the order R, G, B (the DRV code has B, G, R, from OpenCV), divided
-    by 65535. What they were amplified by is not published: ``ratio`` is nan. 202 static clips, of which 129 are for
+    ``dataset[i]`` is a :class:`~eldata.datasets.items.Sample`, of dynamic clips without ``target``. As the authors
+    preprocessed them, frames are RGB, binned, amplified and denoised by VBM4D: C = 3 in the order R, G, B (the DRV code
+    has B, G, R, from OpenCV), divided by 65535. What they were amplified by is not published: ``ratio`` is nan. 202
+    static clips, of which 129 are for
     training, 24 for validation and 49 for testing, and 23 dynamic ones, M0000 to M0022, as dark and noisy: no clean
     source for :class:`~eldata.datasets.synthetic.pairs.SyntheticClips`.
 
@@ -327,7 +327,7 @@ class DRVDataset(ClipWindows):
     split
         ``"train"``, ``"val"`` or ``"test"``.
     ids, window, stride, frames, region, crops_per_window, cameras, scenes, isos, ratios, subset, exclude_flags, \
-    levels, clip, amplification, dark_shading, crop, augment, crops, seed
+    levels, clip, amplification, dark_shading, crop, augment, crops, seed, transform
         As for :class:`~eldata.datasets.clips.ClipWindows`.
 
     Raises
@@ -365,7 +365,7 @@ class DRVDataset(ClipWindows):
         isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
         split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
         levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
-        dark_shading: DarkShading | Path | str | None = None,
+        dark_shading: DarkShading | Path | str | None = None, transform: Transform | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "root", "form", "manifest", "reference")
@@ -393,7 +393,7 @@ _FRAME = re.compile(r".*/frame([1-9][0-9]*)_noisy([0-9])\.tiff")
 class CRVDDataset(ClipWindows):
     """The indoor clips of CRVD: 7 frames each, 11 scenes at 5 ISOs; every frame has ten noisy shots and a reference.
 
-    ``dataset[i]`` is a :class:`~eldata.datasets.clips.ClipSample` whose ``target`` has a frame for each of ``input``,
+    ``dataset[i]`` is a :class:`~eldata.datasets.items.Sample` whose ``target`` has a frame for each of ``input``,
     both packed Bayer, C = 4. A frame and its reference are exposed alike: ``ratio`` is 1. The n-th noisy shots of the
     moments are the n-th clip of a scene and ISO: ``ids=["scene7"]`` are its 50 clips. Splits: ``"train"`` (scenes 1 to
     6), ``"test"`` (7 to 11). The files are mosaics in TIFF; the card states their levels (black 240, white 4095) and
@@ -410,7 +410,7 @@ class CRVDDataset(ClipWindows):
     manifest
         A manifest's CSV file instead of the shipped one, such as one that ``eldata lock`` has filled in.
     ids, window, stride, frames, region, crops_per_window, cameras, scenes, isos, ratios, split, subset, \
-    exclude_flags, levels, clip, amplification, dark_shading, crop, augment, crops, seed
+    exclude_flags, levels, clip, amplification, dark_shading, crop, augment, crops, seed, transform
         As for :class:`~eldata.datasets.clips.ClipWindows`; the choice is of frames.
 
     Raises
@@ -445,7 +445,7 @@ class CRVDDataset(ClipWindows):
         isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
         split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
         levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
-        dark_shading: DarkShading | Path | str | None = None,
+        dark_shading: DarkShading | Path | str | None = None, transform: Transform | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "root", "shots", "manifest")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from torch.utils.data import Dataset
 
+from eldata.base.visible import name_of
 from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import PAPER_GAMMA, Rendering, truncate_to_8_bits
 from eldata.sources.frames import FrameSource
@@ -88,12 +89,7 @@ class Rendered:
         return self.levels(Rendering.of(self.colours(sensors), self.response)(image))
 
     def __repr__(self) -> str:  # without the places in memory of functions: a training is known by it when it goes on
-        return f"Rendered({_name_of(self.colours)}, {self.response!r}, {_name_of(self.levels)})"
-
-
-def _name_of(function: object) -> str:
-    """Name a function, or else an object by its repr."""
-    return getattr(function, "__name__", None) or repr(function)
+        return f"Rendered({name_of(self.colours)}, {self.response!r}, {name_of(self.levels)})"
 
 
 # --- where sensors come from --------------------------------------------------------------------------------------
@@ -222,7 +218,7 @@ class StagedPairs(Dataset[dict[str, Any]]):
         choose(epoch)
 
     def __repr__(self) -> str:
-        return f"StagedPairs({self.pairs!r}, stage_in={_name_of(self.stage_in)}, stage_out={_name_of(self.stage_out)})"
+        return f"StagedPairs({self.pairs!r}, stage_in={name_of(self.stage_in)}, stage_out={name_of(self.stage_out)})"
 
 
 def raw2rgb(pairs: Dataset[Any], *, response: Response = PAPER_GAMMA, sensors: SensorsOf | None = None) -> StagedPairs:

@@ -91,7 +91,7 @@ def train(
 ) -> None:
     """Train a network, or go on with a training; print each epoch's loss, and ``more`` of the epoch and all steps."""
     options.output.mkdir(parents=True, exist_ok=True)
-    loader = training_loader(data, options.batch_size, seed=options.seed, device=device, workers=options.workers)
+    loader = training_loader(data, options.batch_size, seed=options.seed, device=device, num_workers=options.workers)
     training = Training(
         network,
         loader,
@@ -100,7 +100,12 @@ def train(
         loss=loss,
         device=device,
         precision=options.precision,
-        settings={"data": repr(data), "width": options.width, "seed": options.seed, **settings},
+        settings={
+            "data": repr(getattr(data, "datasets", data)),
+            "width": options.width,
+            "seed": options.seed,
+            **settings,
+        },
     )
     is_first = not distributed.is_initialized() or distributed.get_rank() == 0
     if is_first:
@@ -149,7 +154,7 @@ def training_data(options: argparse.Namespace) -> Dataset[Any]:
     if not parts:
         raise ArgumentError("give --clean with --camera, --pairs, or both")
     parts = [as_task(part, options) for part in parts]
-    return parts[0] if len(parts) == 1 else ConcatDataset([Sides(part) for part in parts])
+    return parts[0] if len(parts) == 1 else ConcatDataset(parts)
 
 
 def as_task(pairs: Dataset[Any], options: argparse.Namespace) -> Dataset[Any]:
@@ -175,8 +180,8 @@ def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Datas
     if not options.noise2noise:
         return SyntheticPairs(source, options.camera, **crops, **noise)
     count = crops.pop("crops_per_frame", 1)
-    stills = SyntheticClips(still_clips(source, 2), options.camera, frames=2, windows_per_clip=count, **crops, **noise)
-    return Sides(stills, are_exposures=True)
+    windows = {"frames": 2, "windows_per_clip": count, "transform": as_two_exposures}
+    return SyntheticClips(still_clips(source, 2), options.camera, **windows, **crops, **noise)
 
 
 def make_noise(options: argparse.Namespace) -> Any:
@@ -212,23 +217,10 @@ class Still:
         return f"Still({self.source!r})"
 
 
-class Sides(Dataset[dict[str, torch.Tensor]]):
-    """Input and target alone, so that samples of several datasets go into one batch."""
-
-    def __init__(self, dataset: Any, *, are_exposures: bool = False) -> None:
-        self.dataset = dataset  # set_epoch finds it by this name
-        self.are_exposures = are_exposures
-
-    def __len__(self) -> int:
-        return len(self.dataset)
-
-    def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
-        sample = self.dataset[index]
-        first, second = sample["input"] if self.are_exposures else (sample["input"], sample["target"])
-        return {"input": first, "target": second}
-
-    def __repr__(self) -> str:
-        return f"Sides({self.dataset!r}, are_exposures={self.are_exposures})"
+def as_two_exposures(sample: dict[str, Any]) -> dict[str, Any]:
+    """Make a pair of a window of two frames: one is the input, the other the target."""
+    first, second = sample["input"]
+    return sample | {"input": first, "target": second}
 
 
 # --- validation -------------------------------------------------------------------------------------------------------
@@ -248,7 +240,7 @@ def validate(network: UNet, options: argparse.Namespace, device: torch.device) -
         return network(torch.from_numpy(image)[None].to(device))[0].float().cpu().numpy()
 
     with torch.inference_mode():
-        for batch in evaluation_loader(pairs, workers=options.workers):
+        for batch in evaluation_loader(pairs, num_workers=options.workers):
             image = batch["input"][0].numpy()
             prediction = tiled(predict, image, tile=1024, overlap=128, multiple=network.multiple)
             scores.append(protocol_score(protocol, torch.from_numpy(prediction), batch["target"][0]))

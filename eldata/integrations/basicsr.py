@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
+from eldata.base.numbers import checked_index
 from eldata.base.seeds import item_generator
 from eldata.datasets.base import PairDataset, SourcePairs
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import checked_index
 from eldata.datasets.packed import PackedStore
 from eldata.datasets.published import dataset_class, dataset_names, open_dataset
 from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean

@@ -14,7 +14,7 @@ import torch
 
 from eldata.errors import ArgumentError, EldataError
 from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
-from eldata.metrics._images import check_data_range, check_threads
+from eldata.metrics._images import check_data_range, check_threads, host_array
 from eldata.metrics.image_score import psnr
 from eldata.metrics.similarity import ssim
 
@@ -105,7 +105,8 @@ class _OneScore(_MeanOverImages):
 
     def _scores(self, prediction: torch.Tensor, reference: torch.Tensor) -> tuple[float, ...]:
         """Compute the metric of one image."""
-        return (self.measure(prediction, reference, data_range=self.data_range, threads=self.threads),)
+        images = host_array(prediction, "the prediction"), host_array(reference, "the reference")
+        return (self.measure(*images, data_range=self.data_range, threads=self.threads),)
 
     def compute(self) -> torch.Tensor:
         """Return the mean, float64; nan before any image."""

@@ -25,6 +25,7 @@ Block: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.float64]
 
 Result = TypeVar("Result")
 
+_FLOATS = ("float16", "bfloat16", "float32", "float64")
 _BAND_ROWS = 256  # a smaller band repeats more of the margin, a larger one leaves threads idle
 # Images of fewer values are done sooner than threads are started.
 _LEAST_FOR_THREADS = 1 << 22  # for one plain pass, which memory bounds
@@ -45,23 +46,27 @@ def host_array(image: Image, name: str) -> Array:
         array = image
     else:
         raise ArgumentError(f"{name} must be a numpy array or a torch tensor, not {type(image).__name__}")
-    if array.dtype.kind in "iu":
+    _check_image(name, array.dtype.name, array.shape)
+    return array
+
+
+def _check_image(name: str, values: str, shape: tuple[int, ...], most_axes: int = 3) -> None:
+    """Refuse what is not one image of floating-point numbers, or with a fourth axis a batch of them."""
+    if "int" in values:
         raise ArgumentError(
-            f"{name} holds integers ({array.dtype}): normalise it to floating point in [0, 1] first, "
+            f"{name} holds integers ({values}): normalise it to floating point in [0, 1] first, "
             "for uint16 by dividing by 65535"
         )
-    if array.dtype.kind != "f" or array.dtype.itemsize > 8:
-        raise ArgumentError(f"{name} must be float16, bfloat16, float32 or float64, not {array.dtype}")
-    if array.ndim == 4:
+    if values not in _FLOATS:
+        raise ArgumentError(f"{name} must be {', '.join(_FLOATS[:-1])} or {_FLOATS[-1]}, not {values}")
+    if len(shape) == 4 > most_axes:
         raise ArgumentError(
-            f"{name} is a batch of shape {array.shape}: metrics take one image per call, "
-            "so loop over the batch or index it"
+            f"{name} is a batch of shape {shape}: metrics take one image per call, so loop over the batch or index it"
         )
-    if array.ndim not in {2, 3}:
-        raise ArgumentError(f"{name} must be one image (C, h, w) or (h, w), not of shape {array.shape}")
-    if array.size == 0:
-        raise ArgumentError(f"{name} is empty: its shape is {array.shape}")
-    return array
+    if not 2 <= len(shape) <= most_axes:
+        raise ArgumentError(f"{name} must be one image (C, h, w) or (h, w), not of shape {shape}")
+    if 0 in shape:
+        raise ArgumentError(f"{name} is empty: its shape is {shape}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,22 +148,43 @@ def check_pair(prediction: Image, reference: Image, *, smallest: int = 1, data_r
     """
     p = host_array(prediction, "the prediction")
     g = host_array(reference, "the reference")
-    if p.shape != g.shape:
-        raise ArgumentError(f"the prediction and the reference differ in shape: {p.shape} against {g.shape}")
-    if min(p.shape[-2:]) < smallest:
+    _check_alike(p.shape, g.shape, smallest, float(g.max()), data_range)
+    wide = max(p.dtype.itemsize, g.dtype.itemsize) > 4
+    if p.ndim == 2:
+        p, g = p[np.newaxis], g[np.newaxis]
+    return Pair(p, g, np.float64 if wide else np.float32)
+
+
+def check_tensors(
+    prediction: Any, reference: Any, *, smallest: int = 1, data_range: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Check tensors as :func:`check_pair` does images, of which they may be batches, (N, C, h, w); return them as such.
+
+    They are float64, on the device of the prediction; gradients flow through.
+    """
+    if not is_tensor(reference):
+        raise ArgumentError(f"the prediction is a tensor, the reference {type(reference).__name__}: give both as such")
+    for name, image in (("the prediction", prediction), ("the reference", reference)):
+        _check_image(name, str(image.dtype).removeprefix("torch."), tuple(image.shape), most_axes=4)
+    most = float(reference.detach().max())
+    _check_alike(tuple(prediction.shape), tuple(reference.shape), smallest, most, data_range)
+    p, g = prediction.double(), reference.double().to(prediction.device)
+    return (p, g) if p.ndim > 2 else (p[None], g[None])
+
+
+def _check_alike(p: tuple[int, ...], g: tuple[int, ...], smallest: int, most: float, data_range: float) -> None:
+    """Refuse a prediction and a reference of unlike or small shapes, or on a scale that the reference leaves."""
+    if p != g:
+        raise ArgumentError(f"the prediction and the reference differ in shape: {p} against {g}")
+    if min(p[-2:]) < smallest:
         raise ArgumentError(
-            f"an image of shape {p.shape} is too small: SSIM's window needs at least {smallest} x {smallest} pixels"
+            f"an image of shape {p} is too small: SSIM's window needs at least {smallest} x {smallest} pixels"
         )
-    most = float(g.max())
     if 2 * data_range < most < math.inf:
         raise ArgumentError(
             f"the reference reaches {most:g}, and data_range is {data_range:g}: divide both images by their largest "
             "possible value, or give it as data_range"
         )
-    wide = max(p.dtype.itemsize, g.dtype.itemsize) > 4
-    if p.ndim == 2:
-        p, g = p[np.newaxis], g[np.newaxis]
-    return Pair(p, g, np.float64 if wide else np.float32)
 
 
 def check_threads(threads: int | None) -> None:

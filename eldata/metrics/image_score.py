@@ -10,7 +10,7 @@ import numpy as np
 
 from eldata.base.arrays import is_tensor
 from eldata.errors import ArgumentError, check_choice
-from eldata.metrics._images import check_data_range, check_pair, check_threads, host_array, total, totals
+from eldata.metrics._images import check_data_range, check_pair, check_tensors, check_threads, host_array, total, totals
 from eldata.metrics._kernels import products, squared_error
 from eldata.metrics.registry import Covariance, PredictionClamp, Rescaling, Rounding, SsimWindow
 from eldata.metrics.similarity import AS_IT_IS, check_windowing, error_and_ssim, treated, window_side
@@ -90,25 +90,36 @@ class Score:
     rescale: float
 
 
-def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, threads: int | None = None) -> float:
+@overload
+def psnr(prediction: Array, reference: Image, *, data_range: float = 1.0, threads: int | None = None) -> float: ...
+@overload
+def psnr(
+    prediction: torch.Tensor, reference: torch.Tensor, *, data_range: float = 1.0, threads: int | None = None
+) -> torch.Tensor: ...
+def psnr(
+    prediction: Image, reference: Image, *, data_range: float = 1.0, threads: int | None = None
+) -> float | torch.Tensor:
     """Compute the peak signal-to-noise ratio, ``10 log10(data_range^2 / MSE)``.
 
-    The mean squared error is taken over all channels together. Nothing is clipped.
+    The mean squared error is taken over all channels together. Nothing is clipped. Tensors are compared where they
+    lie, in float64, and gradients flow through, for use as a loss.
 
     Parameters
     ----------
     prediction, reference
         One image each, (C, h, w) or (h, w), of the same shape: float16, bfloat16, float32 or float64, numpy
-        array or torch tensor. Tensors on another device are copied to the host.
+        array or torch tensor. Of tensors also batches, (N, C, h, w).
     data_range
         The difference between the largest and the smallest possible value.
     threads
-        Number of threads, by default one per CPU; the result is the same to the bit for any number.
+        Number of threads, by default one per CPU; the result is the same to the bit for any number. Tensors take
+        torch's own.
 
     Returns
     -------
-    float
-        Decibels; ``inf`` for identical images, NaN if either image holds NaN.
+    float or torch.Tensor
+        Decibels, of a batch a value for each image; ``inf`` for identical images, whose gradient is NaN, and NaN if
+        either image holds NaN. Of tensors a float64 tensor, equal to the arrays' within 1e-9 dB.
 
     Raises
     ------
@@ -126,6 +137,9 @@ def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, thread
     """
     check_threads(threads)
     check_data_range(data_range)
+    if is_tensor(prediction):
+        p, g = check_tensors(prediction, reference, data_range=data_range)
+        return 20.0 * math.log10(data_range) - 10.0 * (p - g).square().mean((-3, -2, -1)).log10()
     images = check_pair(prediction, reference, data_range=data_range)
 
     def work(band: Band) -> float:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, TypeAlias, get_args
+from typing import TYPE_CHECKING, TypeAlias, get_args, overload
 
 import numpy as np
 
+from eldata.base.arrays import is_tensor
 from eldata.errors import check_choice
-from eldata.metrics._images import check_data_range, check_pair, check_threads, totals
+from eldata.metrics._images import check_data_range, check_pair, check_tensors, check_threads, totals
 from eldata.metrics._kernels import (
+    AREA,
     GAUSSIAN_WINDOW,
     RADIUS,
     WEIGHTS,
@@ -20,6 +22,7 @@ from eldata.metrics._kernels import (
 from eldata.metrics.registry import Covariance, SsimWindow
 
 if TYPE_CHECKING:
+    import torch
     from numpy.typing import NDArray
 
     from eldata.metrics._images import Array, Band, Block, Image, Pair
@@ -39,29 +42,36 @@ def treated(values: Array, treatment: Treatment) -> NDArray[np.float64]:
     return np.clip(np.clip(values.astype(np.float64), low, high) * factor, final_low, final_high)
 
 
+@overload
 def ssim(
-    prediction: Image,
-    reference: Image,
-    *,
-    data_range: float = 1.0,
-    window: SsimWindow = "uniform-7",
-    covariance: Covariance = "sample",
-    threads: int | None = None,
-) -> float:
+    prediction: Array, reference: Image, *, data_range: float = 1.0, window: SsimWindow = "uniform-7",
+    covariance: Covariance = "sample", threads: int | None = None,
+) -> float: ...  # fmt: skip
+@overload
+def ssim(
+    prediction: torch.Tensor, reference: torch.Tensor, *, data_range: float = 1.0, window: SsimWindow = "uniform-7",
+    covariance: Covariance = "sample", threads: int | None = None,
+) -> torch.Tensor: ...  # fmt: skip
+def ssim(
+    prediction: Image, reference: Image, *, data_range: float = 1.0, window: SsimWindow = "uniform-7",
+    covariance: Covariance = "sample", threads: int | None = None,
+) -> float | torch.Tensor:  # fmt: skip
     """Compute the mean structural similarity.
 
     The index of Wang et al. (IEEE TIP 2004) with K1 = 0.01 and K2 = 0.03; by default as scikit-image has it. The
-    arithmetic is float64, whatever the images' dtype. Nothing is clipped.
+    arithmetic is float64, whatever the images' dtype. Nothing is clipped. Tensors are compared where they lie, and
+    gradients flow through, for use as a loss: ``1 - ssim(...).mean()``.
 
     Parameters
     ----------
     prediction, reference
         One image each, (C, h, w) or (h, w), of the same shape: float16, bfloat16, float32 or float64, numpy
-        array or torch tensor. Tensors on another device are copied to the host.
+        array or torch tensor. Of tensors also batches, (N, C, h, w).
     data_range
         The difference between the largest and the smallest possible value.
     window
-        ``"uniform-7"``: uniform, 7 x 7, averaged over the windows that lie inside the image and over the channels.
+        ``"uniform-7"``, which alone tensors have: uniform, 7 x 7, averaged over the windows that lie inside the image
+        and over the channels.
         ``"gaussian-11"``: 11 x 11 with standard deviation 1.5, otherwise the same, as in the paper and its code
         (BasicSR, LED). ``"gaussian-11-volume"``: MATLAB's ``ssim(A, ref)`` with default arguments on a colour image,
         which takes it for a volume: 11 x 11 x 11 with standard deviation 1.5, one window for each value, the image
@@ -70,12 +80,14 @@ def ssim(
         ``"sample"``: unbiased by N / (N - 1) with N the window's entries, scikit-image's default; ``"population"``: as
         in the paper and in MATLAB.
     threads
-        Number of threads, by default one per CPU; the result is the same to the bit for any number.
+        Number of threads, by default one per CPU; the result is the same to the bit for any number. Tensors take
+        torch's own.
 
     Returns
     -------
-    float
-        At most 1, which identical images reach exactly; NaN if either image holds NaN.
+    float or torch.Tensor
+        At most 1, which identical images reach exactly, of a batch a value for each image; NaN if either image holds
+        NaN. Of tensors a float64 tensor, equal to the arrays' within 1e-9.
 
     Raises
     ------
@@ -97,8 +109,30 @@ def ssim(
     check_threads(threads)
     check_data_range(data_range)
     check_windowing(window, covariance)
+    if is_tensor(prediction):
+        check_choice("window of tensors", window, ("uniform-7",))
+        pair = check_tensors(prediction, reference, smallest=WINDOW, data_range=data_range)
+        scale = AREA / (AREA - 1) if covariance == "sample" else 1.0
+        if pair[0].ndim == 3:
+            return _ssim_of_tensors(*pair, data_range, scale)
+        import torch
+
+        return torch.stack([_ssim_of_tensors(*images, data_range, scale) for images in zip(*pair, strict=True)])
     images = check_pair(prediction, reference, smallest=window_side(window), data_range=data_range)
     return error_and_ssim(images, data_range, AS_IT_IS, threads, window=window, covariance=covariance)[1]
+
+
+def _ssim_of_tensors(p: torch.Tensor, g: torch.Tensor, data_range: float, scale: float) -> torch.Tensor:
+    """Compute the SSIM of one image (C, h, w), as :func:`~eldata.metrics._kernels.error_and_similarity` does."""
+    from torch.nn.functional import avg_pool2d
+
+    s, d = p + g, p - g
+    s_mean, d_mean, s_square, d_square = (avg_pool2d(values, WINDOW, 1) for values in (s, d, s * s, d * d))
+    luminance, d_squared = s_mean * s_mean + 2 * (_K1 * data_range) ** 2, d_mean * d_mean
+    variance_s = scale * (s_square - s_mean * s_mean) + 2 * (_K2 * data_range) ** 2
+    variance_d = scale * (d_square - d_squared)
+    similarity = (luminance - d_squared) * (variance_s - variance_d)
+    return (similarity / ((luminance + d_squared) * (variance_s + variance_d))).mean()
 
 
 def check_windowing(window: str, covariance: str) -> None:

@@ -23,6 +23,7 @@ import numpy as np
 
 from eldata.base.arrays import is_tensor
 from eldata.base.numbers import checked_whole
+from eldata.base.visible import name_of
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.components import packed_rows, parse_components
 from eldata.noise.parameters import Adc, Generator, NoiseDraw, NoiseParameters, key_from
@@ -484,7 +485,7 @@ def check_noise_maker(maker: Any) -> None:
     try:
         signature.bind(None, parameters=None, ratio=None, range_dn=None, generator=None)
     except TypeError as error:
-        raise ArgumentError(f"{maker_name(maker)} cannot be called as {call}: {error}") from error
+        raise ArgumentError(f"{name_of(maker)} cannot be called as {call}: {error}") from error
 
 
 def made_exposure(
@@ -505,13 +506,5 @@ def made_exposure(
     if not isinstance(made, np.ndarray) or made.shape != clean.shape or made.dtype.kind != "f":
         is_array = isinstance(made, np.ndarray)
         found = f"{made.dtype} of shape {made.shape}" if is_array else type(made).__name__
-        raise ArgumentError(
-            f"{maker_name(maker)} returned {found}; expected an array like the clean one, {clean.shape}"
-        )
+        raise ArgumentError(f"{name_of(maker)} returned {found}; expected an array like the clean one, {clean.shape}")
     return made.astype(np.float32, copy=False)
-
-
-def maker_name(maker: Any) -> str:
-    """Name a callable: a function by its name, an object by its repr."""
-    name = getattr(maker, "__qualname__", None)
-    return name if isinstance(name, str) else repr(maker)

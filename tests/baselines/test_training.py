@@ -294,7 +294,7 @@ class Shaken(UNet):
 
 def training(network: torch.nn.Module | None = None, **options: Any) -> Training:
     torch.random.set_rng_state(torch.Generator().manual_seed(8).get_state())
-    loader = training_loader(pairs(), 2, seed=1, workers=0)
+    loader = training_loader(pairs(), 2, seed=1, num_workers=0)
     chosen = {"steps": STEPS, "learning_rate": 3e-3} | options
     return Training(network or Shaken(width=4, depth=1), loader, **chosen)
 

@@ -188,4 +188,4 @@ def test_the_papers_schedule_has_257600_steps() -> None:
     assert len(clean) == 161
     frame = np.broadcast_to(np.uint16(0), (2848, 4256))
     dataset = grid(Mosaics([frame] * len(clean), BAYER["RGGB"]), crop=512)
-    assert len(training_loader(dataset, 1, workers=0)) * 200 == 161 * 8 * 200 == 257_600
+    assert len(training_loader(dataset, 1, num_workers=0)) * 200 == 161 * 8 * 200 == 257_600

@@ -60,7 +60,7 @@ def passes(loader: Any, count: int = 3) -> list[list[Any]]:
 
 
 def of_epoch(dataset: Any, epoch: int) -> Any:
-    set_epoch(evaluation_loader(dataset, workers=0), epoch)
+    set_epoch(evaluation_loader(dataset, num_workers=0), epoch)
     return dataset
 
 

@@ -8,17 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import ConcatDataset, DataLoader
 
-from eldata import PackedStore
+from eldata import PackedStore, SIDDataset
 from eldata.datasets import CleanFrames, PairDataset, SourcePairs, SyntheticPairs
 from eldata.datasets.crops import Crop
+from eldata.datasets.items import Sample
+from eldata.errors import ArgumentError
 from eldata.manifest.card import save_card
 from eldata.raw import read_raw
 from eldata.sources.frames import Frame, FrameSource
 from tests.datasets.comparing import same
 from tests.evaluation.test_way_of_a_score import modules_called
 from tests.raw.helpers import BAYER
+from tests.sid_tree import build_small_tree
 from tests.sources.store.helpers import pack_tree
 
 if TYPE_CHECKING:
@@ -96,3 +99,87 @@ def test_levels_are_those_of_the_protocol_that_the_card_names(
     store = pack_tree(tree, tmp_path / "eld.h5").store
     assert PairDataset(tree.data, tree.csv).levels == PackedStore(store).levels == levels
     assert PairDataset(tree.data, tree.csv, levels="sid-sony").levels == "sid-sony"
+
+
+# --- what becomes of a sample, and of samples of several datasets ----------------------------------------------------
+
+
+def brighten(sample: dict[str, Any]) -> dict[str, Any]:
+    """In place and anew, and with a draw of torch's numbers."""
+    sample["input"].mul_(2)
+    return sample | {"target": sample["target"][:, :4] + 1, "path": "", "drawn": torch.rand(())}
+
+
+def break_down(sample: dict[str, Any]) -> None:
+    if sample["path"].endswith("IMG_0005.dng"):
+        raise KeyError("inptu")
+
+
+KINDS: dict[str, Any] = {
+    "files": lambda tree, _, **options: PairDataset(tree.data, tree.csv, **options),
+    "store": lambda _, store, **options: PackedStore(store, **options),
+    "noise": lambda _, store, **options: SyntheticPairs(CleanFrames(store), "SonyA7S2", **options),
+    "noise of files": lambda tree, _, **options: SyntheticPairs(CleanFrames(tree.data), "SonyA7S2", **options),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_transform_gets_the_whole_sample(kind: str, pristine: Tree, store: Path) -> None:
+    """After crop and noise, alone and in batches, in workers too; what it returns is what there is."""
+    for workers in (0, 2):
+        plain, changed = (KINDS[kind](pristine, store, crop=8, transform=how) for how in (None, brighten))
+        loader = DataLoader(changed, batch_size=3, num_workers=workers)
+        batches = list(loader)
+        for index, sample in enumerate(plain):
+            batch, place = batches[index // 3], index % 3
+            assert torch.equal(batch["input"][place], 2 * sample["input"])
+            assert torch.equal(batch["target"][place], sample["target"][:, :4] + 1)
+            assert (batch["path"][place], batch["scene"][place]) == ("", sample["scene"])
+        plain.set_epoch(1)
+        changed.set_epoch(1)
+        assert torch.equal(changed[2]["input"], 2 * plain[2]["input"])
+        assert "; transform: brighten" in repr(changed)
+        assert repr(changed).replace("; transform: brighten", "") == repr(plain)
+
+
+def test_an_error_of_a_transform_names_the_item(store: Path) -> None:
+    broken = PackedStore(store, crop=8, transform=break_down, cameras=["DemoAlpha"])
+    (number,) = (place for place, one in enumerate(broken.records) if one.path.endswith("IMG_0005.dng"))
+    for work in (lambda: broken[number], lambda: broken.__getitems__([number])):
+        with pytest.raises(KeyError, match="inptu") as caught:
+            work()
+        assert caught.value.__notes__ == [f"in transform= of PackedStore, for {broken.records[number].path}"]
+    with pytest.raises(ArgumentError, match="transform= returned None"):
+        broken[number - 1]
+
+
+def test_samples_of_real_packed_and_made_pairs_go_into_one_batch(pristine: Tree, store: Path, tmp_path: Path) -> None:
+    """As torch's own collate makes them, whichever comes first; a number that is not known is nan."""
+    sony = build_small_tree("sid-sony", tmp_path, ["10003"])
+    sets = [make(pristine, store, crop=8, augment=True) for make in KINDS.values()]
+    sets.append(SIDDataset(sony.data, manifest=sony.csv, crop=8))
+    joined: Any = ConcatDataset(sets)
+    seen: dict[str, list[Any]] = {"iso": [], "nominal_ratio": [], "gain_dn_per_e": [], "path": []}
+    for batch in DataLoader(joined, batch_size=7, num_workers=2, shuffle=True):
+        assert set(batch) == set(Sample.__annotations__)
+        assert batch["input"].shape == batch["target"].shape == (len(batch["path"]), 4, 8, 8)
+        for name, column in seen.items():
+            column.extend(batch[name] if name == "path" else batch[name].tolist())
+    made = len(sets[2]) + len(sets[3])
+    assert [len(column) for column in seen.values()] == [len(joined)] * 4
+    assert np.isnan(seen["iso"]).sum() == made  # whose gain was drawn
+    assert np.isfinite(seen["gain_dn_per_e"]).sum() == made
+    assert np.isfinite(seen["nominal_ratio"]).all()
+
+
+def test_an_index_is_one_number(store: Path) -> None:
+    dataset = PackedStore(store, crop=8)
+    dataset.set_epoch(0)
+    same(dataset[np.int64(3)], dataset[np.uint8(3)])  # type: ignore[index]
+    same(dataset[torch.tensor(23)], dataset[-1])  # type: ignore[index]
+    for wrong in (slice(0, 10), "path", 1.0, [1, 2], np.array([1, 2])):
+        with pytest.raises(ArgumentError, match=r"whole number; found .*torch\.utils\.data\.Subset\(dataset"):
+            dataset[wrong]  # type: ignore[index]
+    for outside in (24, -25):
+        with pytest.raises(IndexError, match="outside of 24 items"):
+            dataset[outside]

@@ -56,7 +56,7 @@ def test_every_rank_gets_as_many_and_none_twice(length: int, ranks: int, epoch: 
 @given(length=st.integers(1, 60), ranks=st.integers(1, 7), batch=st.integers(1, 4))
 def test_every_item_is_evaluated_exactly_once(length: int, ranks: int, batch: int) -> None:
     items: Any = range(length)
-    loaders = [evaluation_loader(items, batch, rank=Rank(number, ranks), workers=0) for number in range(ranks)]
+    loaders = [evaluation_loader(items, batch, rank=Rank(number, ranks), num_workers=0) for number in range(ranks)]
     got = [[index for part in loader for index in part.tolist()] for loader in loaders]
     assert sorted(index for part in got for index in part) == list(range(length))
     assert all(part == sorted(part) for part in got)
@@ -67,7 +67,7 @@ def test_every_item_is_evaluated_exactly_once(length: int, ranks: int, batch: in
 @pytest.mark.parametrize("workers", [0, 2])
 def test_batches_do_not_depend_on_workers(workers: int, store: Path) -> None:
     """A running loader, told of the next epoch, gives what a fresh one of that epoch gives, and the dataset itself."""
-    loader = training_loader(pairs(store), 5, workers=workers, seed=1)
+    loader = training_loader(pairs(store), 5, num_workers=workers, seed=1)
     assert len(loader) == 48 // 5
     seen = []
     for epoch in range(2):
@@ -91,7 +91,7 @@ def test_random_numbers_that_a_transform_draws_are_seeded_by_epoch() -> None:
     """torch seeds its workers' generators, numpy's and random's too, from the loader's."""
 
     def seed_at(epoch: int, **options: Any) -> int:
-        loader = training_loader(Numbers(), 2, workers=0, **options)
+        loader = training_loader(Numbers(), 2, num_workers=0, **options)
         set_epoch(loader, epoch)
         assert loader.generator is not None
         return int(loader.generator.initial_seed())
@@ -165,13 +165,13 @@ def test_the_description_says_what_the_loader_does(machine: Any, store: Path) ->
         *("workers: 2 (6 CPUs usable by 2 ranks", "start method: forkserver", "persistent", "at most 1 items left out"),
     ):
         assert words in text
-    asked = evaluation_loader(pairs(store), 5, workers=0)
+    asked = evaluation_loader(pairs(store), 5, num_workers=0)
     assert "workers: 0 (as asked)" in describe(asked)
     assert "evaluation: 48 items in 10 batches of up to 5, in order" in describe(asked)
     assert not asked.persistent_workers
-    # An item is 2 x 4 x 8 x 8 float32 = 2048 bytes.
+    # An item is 2 x 4 x 8 x 8 float32 and 4 float64: 2080 bytes.
     assert "0.0 MB a batch" in text
-    assert loading._nbytes(pairs(store)[0]) == 2048
+    assert loading._nbytes(pairs(store)[0]) == 2080
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------
@@ -193,25 +193,25 @@ class Numbers(Dataset[int]):
 def test_a_dataset_that_cannot_be_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = Numbers()
     dataset.transform = lambda value: value  # type: ignore[attr-defined] # which no other process can find
-    with pytest.raises(ArgumentError, match=r"Numbers cannot be sent to workers .*start_method='fork' or workers=0"):
-        training_loader(dataset, 2, workers=2)
-    assert len(list(training_loader(dataset, 2, workers=0))) == 2
+    with pytest.raises(ArgumentError, match=r"Numbers cannot be sent to .*start_method='fork' or num_workers=0"):
+        training_loader(dataset, 2, num_workers=2)
+    assert len(list(training_loader(dataset, 2, num_workers=0))) == 2
     monkeypatch.setattr(Numbers, "__module__", "__main__")
     monkeypatch.delattr(sys.modules["__main__"], "__file__", raising=False)
     with pytest.raises(ArgumentError, match="defined in an interactive session, which workers cannot import"):
-        training_loader(Numbers(), 2, workers=2)
-    assert training_loader(Numbers(), 2, workers=2, start_method="fork").num_workers == 2
+        training_loader(Numbers(), 2, num_workers=2)
+    assert training_loader(Numbers(), 2, num_workers=2, start_method="fork").num_workers == 2
 
 
 def test_wrong_arguments(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = pairs(store)
     wrong: list[tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any], str]] = [
         *(
-            (training_loader, (dataset,), {"batch_size": 4, "workers": 0} | options, words)
+            (training_loader, (dataset,), {"batch_size": 4, "num_workers": 0} | options, words)
             for options, words in (
                 ({"batch_size": 0}, "batch_size and prefetch must be 1 or more; found 0, 2"),
                 ({"prefetch": 0}, "found 4, 0"),
-                ({"workers": -1}, "workers must be 0 or more; found -1"),
+                ({"num_workers": -1}, "num_workers must be 0 or more; found -1"),
                 ({"seed": -1}, "seed must be 0 or more; found -1"),
                 ({"start_method": "thread"}, "start_method must be one of 'forkserver', 'spawn', 'fork'"),
                 ({"batch_size": 49}, "48 items for rank 0 of 1 do not fill a batch of 49"),
@@ -223,7 +223,7 @@ def test_wrong_arguments(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (evaluation_loader, (Subset(dataset, []),), {}, "Subset holds no items"),
         (describe, (DataLoader(dataset),), {}, "found another DataLoader"),
         (Rank, (2, 2), {}, "found 2 of 2"),
-        (set_epoch, (evaluation_loader(dataset, workers=0), 1), {"first_batch": 2}, "only a training loader"),
+        (set_epoch, (evaluation_loader(dataset, num_workers=0), 1), {"first_batch": 2}, "only a training loader"),
     ]
     for work, arguments, options, words in wrong:
         with pytest.raises(ArgumentError, match=words):
@@ -238,4 +238,4 @@ def test_many_processes_without_torch_distributed(store: Path, monkeypatch: pyte
     monkeypatch.setenv("WORLD_SIZE", "2")
     with pytest.raises(ArgumentError, match=r"WORLD_SIZE is '2', but torch.distributed is not initialised"):
         training_loader(pairs(store), 4)
-    assert len(training_loader(pairs(store), 4, workers=0, rank=Rank(1, 2))) == 6
+    assert len(training_loader(pairs(store), 4, num_workers=0, rank=Rank(1, 2))) == 6

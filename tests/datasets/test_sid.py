@@ -19,7 +19,7 @@ from tests.sid_tree import SENSORS, frames_of, write_frames
 from tests.trees import scale_exposure
 
 if TYPE_CHECKING:
-    from eldata.datasets.base import Sample
+    from eldata.datasets.items import Sample
     from eldata.records import PairRecord
 
 CAMERAS = ("sony", "fuji")

@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader, default_collate
 from eldata.datasets.base import SourcePairs
 from eldata.datasets.clean import Arrays, CleanFrames
 from eldata.datasets.items import CroppedItems
-from eldata.datasets.synthetic.pairs import SyntheticPairs, SyntheticSample
+from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile, NoiseModel
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.datasets.items import Sample
+
 NUMBERS = ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
 
 
@@ -47,7 +49,7 @@ def pairs(source: Any, profiles: Any = "SonyA7S2", **options: Any) -> SyntheticP
     return SyntheticPairs(source, profiles, **{"crop": 8} | options)
 
 
-def items(dataset: SyntheticPairs) -> list[SyntheticSample]:
+def items(dataset: SyntheticPairs) -> list[Sample]:
     return [dataset[index] for index in range(len(dataset))]
 
 
@@ -209,7 +211,7 @@ def test_items_are_those_of_0_1(seed: int, iso: float | None, epoch: int, wanted
     item = dataset[1]
     digest = hashlib.sha256(item["input"].numpy().tobytes()).hexdigest()[:16]
     assert (item["camera"], item["gain_dn_per_e"], item["ratio"], digest) == wanted
-    assert item["iso"] == (iso or 0)
+    assert item["iso"] == iso or (iso is None and math.isnan(item["iso"]))
 
 
 def test_the_dataset_decides_the_clip_as_for_pairs_to_test_on() -> None:

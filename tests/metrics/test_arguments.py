@@ -20,14 +20,22 @@ if TYPE_CHECKING:
 
     Metric = Callable[..., Any]
 
+GAUSSIAN = pytest.param(partial(metrics.ssim, window="gaussian-11"), id="ssim, Gaussian")  # of arrays alone
 METRICS = [
     pytest.param(metrics.psnr, id="psnr"),
     pytest.param(metrics.ssim, id="ssim"),
-    pytest.param(partial(metrics.ssim, window="gaussian-11"), id="ssim, Gaussian"),
+    GAUSSIAN,
     pytest.param(metrics.rescale_factor, id="rescale_factor"),
     pytest.param(lambda p, g, **k: metrics.score(p, g, rescaling="scalar", **k), id="score"),
 ]
-OF_CLIPS_TOO = [*METRICS, pytest.param(metrics.st_rred, id="st_rred")]
+OF_TENSORS = [metric for metric in METRICS if metric is not GAUSSIAN]
+OF_CLIPS_TOO = [*OF_TENSORS, pytest.param(metrics.st_rred, id="st_rred")]
+
+
+def agree(found: Any, expected: Any) -> bool:
+    """To the bit, or where torch computed to 1e-12 of the number."""
+    is_tensor = isinstance(found, torch.Tensor)
+    return abs(float(found) - expected) <= 1e-12 * abs(expected) if is_tensor else bool(found == expected)
 
 
 def images(*shape: int, seed: int = 0) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
@@ -50,8 +58,7 @@ def test_layout_does_not_matter(metric: Metric, as_tensor: bool) -> None:
         # torch knows no negative strides
         strided_t, swapped_t = torch.from_numpy(strided), torch.from_numpy(swapped)
         assert not strided_t.is_contiguous()
-        assert metric(strided_t, swapped_t) == expected
-        assert metric(strided_t.clone().requires_grad_(), g) == expected
+        assert agree(metric(strided_t, swapped_t), expected)
         assert metric(p, swapped_t) == expected
     else:
         reverse = g[:, ::-1].copy()[:, ::-1]
@@ -74,9 +81,11 @@ def test_precisions_are_taken_exactly(metric: Metric) -> None:
     assert metric(p, g.astype(np.float64)) == metric(p, g)
     half = p.astype(np.float16)
     assert metric(half, g) == metric(half.astype(np.float32), g)
-    assert metric(torch.from_numpy(half), g) == metric(half, g)
+    reference = torch.from_numpy(g)
+    assert agree(metric(torch.from_numpy(half), reference), metric(half, g))
     brain = torch.from_numpy(p).bfloat16()
-    assert metric(brain, g) == metric(brain.float(), g) != metric(p, g)
+    assert metric(brain, reference) == metric(brain.float(), reference)
+    assert not agree(metric(brain, reference), metric(p, g))
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -145,7 +154,7 @@ def test_refusals(metric: Metric) -> None:
     with pytest.raises(ArgumentError, match=r"batch of shape \(1, 2, 30, 31\).*loop"):
         metric(p[None], g[None])
     with pytest.raises(ArgumentError, match=r"batch of shape \(1, 2, 30, 31\)"):
-        metric(torch.from_numpy(p[None]), g)
+        metric(p[None], torch.from_numpy(g))
     with pytest.raises(ArgumentError, match=r"\(C, h, w\) or \(h, w\), not of shape \(31,\)"):
         metric(p[0, 0], g[0, 0])
     with pytest.raises(ArgumentError, match="empty"):
@@ -181,7 +190,41 @@ def test_other_types_are_refused(metric: Metric, dtype: npt.DTypeLike, words: st
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("metric", OF_TENSORS)
 def test_other_devices(metric: Metric) -> None:
     p, g = images(2, 30, 31)
-    assert metric(torch.from_numpy(p).cuda().requires_grad_(), torch.from_numpy(g).cuda()) == metric(p, g)
+    assert agree(metric(torch.from_numpy(p).cuda().requires_grad_(), torch.from_numpy(g).cuda()), metric(p, g))
+
+
+# --- batches of tensors -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("metric", [metrics.psnr, metrics.ssim, partial(metrics.ssim, covariance="population")])
+def test_a_batch_has_the_score_of_each_image_and_its_gradient(metric: Metric) -> None:
+    """Scores of arrays, which are compared with scikit-image's; gradients of differences, in float64."""
+    p, g = images(5, 3, 30, 41)
+    found = metric(torch.from_numpy(p), torch.from_numpy(g))
+    assert (found.shape, found.dtype) == ((5,), torch.float64)
+    assert found.tolist() == pytest.approx([metric(*pair) for pair in zip(p, g, strict=True)], rel=1e-12)
+    tensors = [torch.from_numpy(image[:2, :2, :9, :8]).double().requires_grad_() for image in (p, g)]
+    assert torch.autograd.gradcheck(metric, tensors)
+    weights = torch.from_numpy(p).requires_grad_()
+    (-metric(weights, torch.from_numpy(g)).mean()).backward()
+    assert weights.grad is not None
+    assert (weights.grad.dtype, bool(weights.grad.isfinite().all())) == (torch.float32, True)
+
+
+def test_tensors_that_are_refused() -> None:
+    p, g = map(torch.from_numpy, images(2, 3, 30, 41))
+    wrong: list[tuple[Metric, tuple[Any, Any], str]] = [
+        (metrics.psnr, (255 * p, 255 * g), "the reference reaches 25.*, and data_range is 1: divide"),
+        (metrics.ssim, (p, g.numpy()), "the prediction is a tensor, the reference ndarray"),
+        (metrics.ssim, (p[..., :6], g[..., :6]), "at least 7 x 7"),
+        (metrics.psnr, (p, (255 * g).byte()), "the reference holds integers"),
+        (metrics.psnr, (p[None], g[None]), r"not of shape \(1, 2, 3, 30, 41\)"),
+        (partial(metrics.ssim, window="gaussian-11"), (p, g), "window of tensors must be one of 'uniform-7'"),
+    ]
+    for metric, pair, words in wrong:
+        with pytest.raises(ArgumentError, match=words):
+            metric(*pair)
+    assert metrics.psnr(255 * p, 255 * g, data_range=255.0).tolist() == pytest.approx(metrics.psnr(p, g).tolist())

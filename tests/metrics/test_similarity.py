@@ -152,6 +152,6 @@ def test_refusals() -> None:
                 ssim(np.zeros(shape), np.zeros(shape), window=window)
     image = np.zeros((3, 10, 12))
     with pytest.raises(ArgumentError, match="window must be one of 'uniform-7'"):
-        ssim(image, image, window="7x7")  # type: ignore[arg-type]
+        ssim(image, image, window="7x7")  # type: ignore[call-overload]
     with pytest.raises(ArgumentError, match="covariance must be one of 'sample'"):
-        ssim(image, image, covariance="both")  # type: ignore[arg-type]
+        ssim(image, image, covariance="both")  # type: ignore[call-overload]

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from eldata.base.numbers import checked_number
+from eldata.base.visible import name_of
 from eldata.datasets.base import SIDES
 from eldata.datasets.batches import threads_here
 from eldata.datasets.crops import Crop
@@ -22,7 +23,7 @@ from eldata.datasets.synthetic.dark_frames import GAIN_SPREAD, DarkFrames
 from eldata.datasets.synthetic.draws import NoiseChoice, Turns, fewest_members
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise._kernels import prepare
-from eldata.noise.model import NoiseModel, check_noise_maker, made_exposure, maker_name
+from eldata.noise.model import NoiseModel, check_noise_maker, made_exposure
 from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.datasets.clean import CleanSource, ClipSource
-    from eldata.datasets.items import Crops
+    from eldata.datasets.items import Crops, Transform
     from eldata.datasets.synthetic.draws import Cameras, Isos
     from eldata.noise.model import NoiseMaker
     from eldata.noise.parameters import NoiseDraw
@@ -50,12 +51,10 @@ class NoisyItem(DrawnItem):
     generator: np.random.Generator
 
 
-Sample = TypeVar("Sample")
-
 _ONE_SCALE = 1.5  # ranges of DN less far apart are other white levels, those farther apart files of other bits
 
 
-class NoisyItems(CroppedItems[Sample]):
+class NoisyItems(CroppedItems):
     """Items whose target is read, and whose input is the target with noise.
 
     ``method`` is the source's method besides ``len``, ``exposures`` how many frames an item has, ``repeats`` how many
@@ -66,12 +65,12 @@ class NoisyItems(CroppedItems[Sample]):
         self, source: Any, method: str, profiles: Cameras, repeats: tuple[str, int], exposures: int = 1, *,
         model: NoiseMaker | None, clip: Clip, ratio: float | tuple[float, float], iso: Isos | None,
         range_dn: float | None, row: RowChoice | None, extrapolate: bool,
-        crop: int | None, augment: bool, crops: Crops, seed: int,
+        crop: int | None, augment: bool, crops: Crops, seed: int, transform: Transform | None,
     ) -> None:  # fmt: skip
         owner = type(self).__name__
         self.source = source
         _check_source(owner, source, method)
-        super().__init__(crop, augment, crops, seed, repeats)
+        super().__init__(crop, augment, crops, seed, transform, repeats)
         self.clip, self.model = clip, _set_clip(owner, NoiseModel() if model is None else model, clip)
         frames = self.model.dark_frames if isinstance(self.model, NoiseModel) else None
         self._dark = frames if isinstance(frames, DarkFrames) else None
@@ -111,10 +110,10 @@ class NoisyItems(CroppedItems[Sample]):
             check_scale(frame.name, frame.sensor, draw.camera, own, advice)
         parameters = draw.parameters.as_dict()
         parameters["colour_bias_dn"] = torch.from_numpy(np.array(draw.parameters.colour_bias_dn))  # faster than tensor
-        of_noise = {"ratio": draw.ratio, "camera": draw.camera, "camera_id": draw.camera_id, "iso": draw.iso or 0.0}
-        sample = of_noise | parameters | {"dark_frame": dark_frame, "path": frame.name} | facts
+        drawn = {"ratio": draw.ratio, "nominal_ratio": draw.ratio, "camera": draw.camera, "camera_id": draw.camera_id}
+        drawn |= {"iso": draw.iso or math.nan, "dark_frame": dark_frame, "path": frame.name, "reference": frame.name}
         shapes: dict[str, tuple[int, ...]] = dict.fromkeys(SIDES, (*frames, *crop.packed_shape))
-        return NoisyItem(crop, shapes, parts, sample, frame.sensor, frame, draw, generator)
+        return NoisyItem(crop, shapes, parts, drawn | parameters | facts, frame.sensor, frame, draw, generator)
 
     def _finish(self, items: Sequence[NoisyItem], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Add the noise: ours to all items at once, for the call alone costs as much as the noise of a small crop."""
@@ -136,7 +135,7 @@ class NoisyItems(CroppedItems[Sample]):
         """Describe the dataset by names and values: clean frames, cameras, noise, ratio, then as for all items."""
         low, high = self.noise.ratio
         is_ours = isinstance(self.model, NoiseModel)
-        model = repr(self.model) if is_ours else f"{maker_name(self.model)}, clip={self.clip!r}"
+        model = repr(self.model) if is_ours else f"{name_of(self.model)}, clip={self.clip!r}"
         ranged = "" if self.range_dn is None else f", range_dn={self.range_dn:g}"
         return [
             ("clean frames", repr(self.source)),
@@ -218,33 +217,7 @@ def _set_clip(owner: str, model: Any, clip: Clip) -> NoiseMaker:
     return model.with_clip(clip)
 
 
-class SyntheticSample(TypedDict):
-    """One synthetic pair, as torch's default collate accepts it.
-
-    ``input`` and ``target`` are (C, h, w) float32, normalised; the input is amplified by ``ratio``. ``path`` says where
-    the clean frame comes from. The rest are the parameters that its noise was made with
-    (:class:`eldata.noise.NoiseParameters`): ``colour_bias_dn`` is (4,) float64; ``iso`` is the ISO that was given or
-    drawn, 0 where the gain was drawn; ``camera_id`` the place of the camera in the dataset. ``dark_frame`` names the
-    dark frame of component D, of a clip the dark frames in order; empty: there is none.
-    """
-
-    input: torch.Tensor
-    target: torch.Tensor
-    path: str
-    ratio: float
-    camera: str
-    camera_id: int
-    iso: float
-    gain_dn_per_e: float
-    tukey_lambda: float
-    sigma_tl_dn: float
-    sigma_gauss_dn: float
-    sigma_row_dn: float
-    colour_bias_dn: torch.Tensor
-    dark_frame: str
-
-
-class SyntheticPairs(NoisyItems[SyntheticSample]):
+class SyntheticPairs(NoisyItems):
     """Clean crops and noisy exposures of them, made again each time that they are asked for.
 
     The k-th time that item i is asked for it is draw k, which depends on (seed, k, i) alone, whatever the workers;
@@ -280,7 +253,7 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         As in :meth:`eldata.noise.CameraProfile.sample`. By default each of several ISOs has its own row: as it was
         measured, where the profile has all figures of that ISO, else ``"nearest-gain"``; the repr says which. One ISO,
         or a drawn gain, has ``"any"``.
-    crop, augment, crops, seed
+    crop, augment, crops, seed, transform
         As of :class:`~eldata.datasets.base.PairDataset`.
 
     Raises
@@ -306,7 +279,7 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         source: CleanSource,
         profiles: Cameras,
         *,
-        crops_per_frame: int = 1,
+        crops_per_frame: int = 1, transform: Transform | None = None,
         model: NoiseMaker | None = None, clip: Clip = "both", ratio: float | tuple[float, float] = (100.0, 300.0),
         iso: Isos | None = None, range_dn: float | None = None, row: RowChoice | None = None, extrapolate: bool = False,
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
@@ -322,18 +295,7 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         return self._draw_noise(place, generator, frame, crop, [Part("target", frame, is_light=True)])
 
 
-class SyntheticClipSample(SyntheticSample):
-    """One synthetic window: ``input`` and ``target`` are (T, C, h, w), ``path`` says where the first frame comes from.
-
-    ``clip`` is the clip's place in the source, ``start`` the first frame's in the clip. The noise of all frames was
-    made with the same parameters.
-    """
-
-    clip: int
-    start: int
-
-
-class SyntheticClips(NoisyItems[SyntheticClipSample]):
+class SyntheticClips(NoisyItems):
     """Windows of clean clips and noisy exposures of them, made again each time that they are asked for.
 
     Camera, parameters and ratio are drawn once for a window, and so are its place, crop and orientation, which are the
@@ -369,8 +331,7 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
         source: ClipSource,
         profiles: Cameras,
         *,
-        frames: int = 5,
-        windows_per_clip: int = 1,
+        frames: int = 5, windows_per_clip: int = 1, transform: Transform | None = None,
         model: NoiseMaker | None = None, clip: Clip = "both", ratio: float | tuple[float, float] = (100.0, 300.0),
         iso: Isos | None = None, range_dn: float | None = None, row: RowChoice | None = None, extrapolate: bool = False,
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,

@@ -15,6 +15,7 @@ import numpy as np
 
 from eldata.base.tables import with_error
 from eldata.calibration.frames import FramesError
+from eldata.calibration.sentences import describe
 from eldata.errors import ArgumentError, did_you_mean
 
 if TYPE_CHECKING:
@@ -535,11 +536,6 @@ class IsoCalibration(IsoGain):
         return self.find_figure("sigma_row_dn")
 
     @property
-    def sigma_column_dn(self) -> MeasuredFigure | None:
-        """Standard deviation of what columns have of their own [DN]; withheld with the row noise."""
-        return self.find_figure("sigma_column_dn")
-
-    @property
     def colour_bias(self) -> tuple[MeasuredFigure, ...] | None:
         """Colour bias by CFA channel [DN], section 3.2.1, figure 4; ``None`` if it is withheld."""
         if "colour bias" in self.withheld:
@@ -624,4 +620,4 @@ class FailedIso:
     @property
     def remark(self) -> str:
         """What the calibration says of it."""
-        return f"ISO {self.iso:g} was left out: {FramesError(self.problems)}"
+        return describe("remarks.failed-iso", iso=self.iso, problems=FramesError(self.problems))

@@ -12,22 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.calibration import findings
 from eldata.calibration.bias_sums import LAGS
 from eldata.calibration.flats import straight_line
-from eldata.calibration.iso_results import (
-    CHANCE,
-    CLIPPED,
-    COARSE,
-    CORRELATED,
-    FIT,
-    FLATS_CORRELATED,
-    LIGHT,
-    NO_LINE,
-    READ,
-    ROUNDING,
-    SATURATION,
-    SHAPE,
-)
 from eldata.calibration.residuals import read_noise
 from eldata.calibration.sentences import describe
 from eldata.calibration.tukey_lambda import NEARLY_NORMAL, Ripple
@@ -44,8 +31,9 @@ if TYPE_CHECKING:
         ResidualHistogram,
         RowNoise,
     )
+    from eldata.calibration.findings import Finding, Quantity
     from eldata.calibration.flats import FlatPairs, PhotonTransfer, PhotonTransferLine
-    from eldata.calibration.iso_results import Finding, IsoCalibration, Quantity
+    from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.residuals import ReadNoise
     from eldata.calibration.sums import Counts, Mask, Values
 
@@ -99,17 +87,17 @@ def _find_light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, r
     smooth = np.stack([part.ravel() for part in (np.ones_like(x), x, y, x * y, x**2, y**2)], axis=1)
     slopes = (_fit_slope(level.ravel(), variance, shading, ripple) for shading in (flat, smooth))
     statistic, slope, over_dark = max(slopes, key=lambda test: test[0])
-    threshold = float(stdtrit(level.size - 7, 1 - CHANCE / 2))
+    threshold = float(stdtrit(level.size - 7, 1 - findings.CHANCE / 2))
     if statistic <= threshold:
         return
     share = 0.5 * slope * over_dark
     text = describe("findings.light", slope=slope * statistics.sigma_dn**2, share=share)
-    yield from LIGHT.judge(statistic, threshold, text, _share_errors(read, share))
+    yield from findings.LIGHT.judge(statistic, threshold, text, _share_errors(read, share))
     # Half a DN may be in the colour bias, or in loud noise a fifth of its standard deviation.
     if over_dark > max(0.5, 0.2 * statistics.sigma_dn):
-        yield LIGHT.withhold(statistic, threshold, text, ("colour bias",), over_dark)
+        yield findings.LIGHT.withhold(statistic, threshold, text, ("colour bias",), over_dark)
     elif over_dark > min(bias.standard_error_dn):
-        yield LIGHT.find(statistic, threshold, text, "wider", ("colour bias",), over_dark)
+        yield findings.LIGHT.find(statistic, threshold, text, "wider", ("colour bias",), over_dark)
 
 
 def _fit_slope(level: Values, variance: Values, shading: Values, ripple: Ripple) -> tuple[float, float, float]:
@@ -142,7 +130,7 @@ def _find_correlation(statistics: BiasStatistics, rows: RowNoise, read: ReadNois
     along = [np.equal(LAGS, lag).all(axis=1) | np.equal(LAGS, lag[::-1]).all(axis=1) for lag in ((0, 1), (0, 2))]
     axes = [float(correlation[chosen].sum()) / math.sqrt(2) for chosen in along]
     tests = (np.abs(np.array([*correlation, *axes])) - ripple.mean**2 / 4) / error
-    statistic, threshold = float(tests.max()), -float(ndtri(CHANCE / 2 / tests.size))
+    statistic, threshold = float(tests.max()), -float(ndtri(findings.CHANCE / 2 / tests.size))
     if statistic <= threshold:
         return
     is_clear = np.abs(correlation) > 3 * error
@@ -157,7 +145,7 @@ def _find_correlation(statistics: BiasStatistics, rows: RowNoise, read: ReadNois
     of_rows = math.hypot(share, of_pixels / (2 * max(line.variance_dn2, 1e-12)))
     shares = {**_share_errors(read, share), "row noise": (of_rows, line.relative_error)}
     text = describe("findings.correlated", largest=correlation[np.abs(correlation).argmax()])
-    yield from CORRELATED.judge(statistic, threshold, text, shares)
+    yield from findings.CORRELATED.judge(statistic, threshold, text, shares)
 
 
 # --- steps of the values ----------------------------------------------------------------------------------------------
@@ -180,7 +168,7 @@ def _find_steps(rows: RowNoise, read: ReadNoise, step_dn: float) -> Iterator[Fin
     shares = _share_errors(read, share)
     if not step_dn.is_integer():  # the mean does not follow the level evenly
         shares["row noise"] = (share / _OF_LIGHTER_TAILS, rows.rows.relative_error)
-    yield from COARSE.judge(step_dn, _UNEVEN_DN, text, shares)
+    yield from findings.COARSE.judge(step_dn, _UNEVEN_DN, text, shares)
 
 
 def mean_step(codes: Counts) -> float:
@@ -249,11 +237,11 @@ def take_step(record: IsoCalibration) -> IsoCalibration:
     if record.stepped is None:
         return record
     step, read = record.step_dn, record.stepped
-    replaced = {check.name for check in (COARSE, FIT, SHAPE, ROUNDING)}
+    replaced = {check.name for check in (findings.COARSE, findings.FIT, findings.SHAPE, findings.ROUNDING)}
     others = (finding for finding in record.findings if finding.check not in replaced)
     of_steps = read_noise_findings(read, record.bias, record.rows.rows, step, step)
-    findings = (*others, *of_steps, COARSE.find(step, 1.0, describe("findings.common-step", step=step)))
-    return replace(record, read=read, findings=findings, quantisation_step_dn=float(step))
+    found = (*others, *of_steps, findings.COARSE.find(step, 1.0, describe("findings.common-step", step=step)))
+    return replace(record, read=read, findings=found, quantisation_step_dn=float(step))
 
 
 # --- read noise -------------------------------------------------------------------------------------------------------
@@ -273,7 +261,7 @@ def find_clipping(sums: BiasSums) -> Finding:
     fixed = sums.fixed
     share = sums.at_floor / (fixed.frames * fixed.total_dn.size)
     text = describe("findings.clipped", floor=fixed.floor_dn, percent=100 * share)
-    return CLIPPED.withhold(share, 0.0, text)
+    return findings.CLIPPED.withhold(share, 0.0, text)
 
 
 def read_noise_findings(
@@ -291,19 +279,21 @@ def read_noise_findings(
     limit = float(chdtri(read.chi2_freedom, 1e-6)) / read.chi2_freedom  # by chance once in a million fits
     misfit = math.sqrt(read.chi2_per_dof - 1) if read.chi2_per_dof > limit else 0.0
     error = math.hypot(1.0, misfit) * read.largest_error
-    findings = list(_find_rounding(read, bias, rows, step_dn, rounding_dn))
+    found = list(_find_rounding(read, bias, rows, step_dn, rounding_dn))
     if not read.converged:
         text = describe("findings.no-end", residuals=read.residuals)
-        findings.append(SHAPE.withhold(math.inf, _MOST_ERROR, text))
+        found.append(findings.SHAPE.withhold(math.inf, _MOST_ERROR, text))
     elif not error < _MOST_ERROR:
         of_misfit = f", {math.hypot(1, misfit):.1f} times as much by their misfit" if misfit else ""
         errors = {"shape": read.tukey_lambda_error, "scale": read.sigma_tl_error_dn / read.sigma_tl_dn}
         text = describe("findings.no-shape", residuals=read.residuals, misfit=of_misfit, **errors)
-        findings.append(SHAPE.withhold(error, _MOST_ERROR, text))
+        found.append(findings.SHAPE.withhold(error, _MOST_ERROR, text))
     elif misfit:
         text = describe("findings.misfit", chi2=read.chi2_per_dof, limit=limit)
-        findings.append(FIT.find(read.chi2_per_dof, limit, text, "wider", READ, misfit * read.largest_error))
-    return tuple(findings)
+        found.append(
+            findings.FIT.find(read.chi2_per_dof, limit, text, "wider", findings.READ, misfit * read.largest_error)
+        )
+    return tuple(found)
 
 
 def _find_rounding(
@@ -321,7 +311,7 @@ def _find_rounding(
     steps = f"steps of {step_dn:.3g}" if step_dn > 1 else "whole"
     if not sigma >= quietest:
         text = describe("findings.too-quiet", sigma=sigma, quietest=quietest, steps=steps)
-        yield ROUNDING.withhold(sigma, quietest, text, ("shape",))
+        yield findings.ROUNDING.withhold(sigma, quietest, text, ("shape",))
     # How alike the levels' fractions of a DN are says nothing of wider steps.
     alike = (1.0 if step_dn > 1 else read.alike) * math.exp(-2 * (math.pi * rows.sigma_dn / step_dn) ** 2)
     # Rounding itself makes tails light: lighter ones than a normal distribution's are not taken for the noise's.
@@ -347,12 +337,12 @@ def _find_rounding(
         "row noise": (2 * math.pi * shift / step_dn, _MOST_IN_ROWS if read.converged else of_rows, of_rows),
         "colour bias": (shift, math.inf, min(filter(math.isfinite, bias.standard_error_dn), default=math.inf)),
     }
-    of_width = () if width <= _MOST_RIPPLE else READ if math.isfinite(width) else (*READ, "row noise")
+    of_width = () if width <= _MOST_RIPPLE else findings.READ if math.isfinite(width) else (*findings.READ, "row noise")
     if lost := tuple(figure for figure, (share, most, _) in off.items() if share > most or figure in of_width):
-        yield ROUNDING.withhold(width, _MOST_RIPPLE, text, lost)
+        yield findings.ROUNDING.withhold(width, _MOST_RIPPLE, text, lost)
     for figure, (share, _, least) in off.items():
         if figure not in lost and share > least:
-            yield ROUNDING.find(share, least, text, "wider", (figure,), share)
+            yield findings.ROUNDING.find(share, least, text, "wider", (figure,), share)
 
 
 # --- flats ------------------------------------------------------------------------------------------------------------
@@ -382,7 +372,7 @@ def find_saturation(flats: FlatPairs) -> Iterator[Finding]:
     over = max(overs)
     where = f"{levels[0]} DN" if len(set(levels)) == 1 else f"{min(levels)} to {max(levels)} DN"
     where += "" if len(piles) == flats.channels else f" in {len(piles)} of {flats.channels} channels"
-    yield SATURATION.withhold(over, _PILED, describe("findings.saturation", where=where, over=over))
+    yield findings.SATURATION.withhold(over, _PILED, describe("findings.saturation", where=where, over=over))
 
 
 def _find_pile(counts: Counts, limit_dn: float) -> tuple[int, float] | None:
@@ -419,7 +409,7 @@ def find_uneven_steps(flats: FlatPairs, transfer: PhotonTransfer) -> Iterator[Fi
     share, error = float(np.mean(added)) / transfer.gain_dn_per_e, transfer.gain_error / transfer.gain_dn_per_e
     if abs(share) > _OF_ERROR * error:
         text = describe("findings.curve", largest=largest, share=share)
-        yield from COARSE.judge(abs(share), _OF_ERROR * error, text, {"gain": (abs(share), _OF_ERROR * error)})
+        yield from findings.COARSE.judge(abs(share), _OF_ERROR * error, text, {"gain": (abs(share), _OF_ERROR * error)})
 
 
 def _find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
@@ -435,7 +425,7 @@ def _find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
     why = smoothed if correlation > 0 else "the frames were sharpened"
     text = describe("findings.flats-correlated", correlation=correlation, why=why)
     off: dict[Quantity, tuple[float, float]] = {"gain": (_LOST_PER_CORRELATION * abs(correlation), 0.0)}
-    yield from FLATS_CORRELATED.judge(abs(correlation), threshold, text, off)
+    yield from findings.FLATS_CORRELATED.judge(abs(correlation), threshold, text, off)
 
 
 def _find_bent_line(transfer: PhotonTransfer) -> Iterator[Finding]:
@@ -460,7 +450,9 @@ def _find_bent_line(transfer: PhotonTransfer) -> Iterator[Finding]:
     if not share > _SIGNIFICANT * error:
         return
     text = describe("findings.bent", off=slopes.mean() / gain - 1, bend=bends.mean())
-    yield from NO_LINE.judge(share / error, _SIGNIFICANT, text, {"gain": (max(test[0] for test in tests), 0.0)})
+    yield from findings.NO_LINE.judge(
+        share / error, _SIGNIFICANT, text, {"gain": (max(test[0] for test in tests), 0.0)}
+    )
 
 
 def _fit_medians(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from eldata.calibration.iso_results import CHECKS
+from eldata.calibration.findings import CHECKS
 from eldata.calibration.sentences import read_sentences
 
 ROOT = Path(__file__).parents[2]

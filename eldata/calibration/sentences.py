@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from eldata.base.fields import TextFile
 from eldata.errors import ArgumentError
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
 
 @cache
-def read_sentences() -> dict[str, dict[str, str]]:
+def read_sentences() -> Mapping[str, Mapping[str, str]]:
     """Read the sentences of each kind by name."""
-    content: dict[str, Any] = TextFile(Path(__file__).with_name("sentences.toml"), ArgumentError).toml().data
-    return content
+    return TextFile(Path(__file__).with_name("sentences.toml"), ArgumentError).toml().data
 
 
 def describe(kind: str, **words: object) -> str:

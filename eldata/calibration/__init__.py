@@ -2,9 +2,8 @@
 
 ``frames`` sorts and reads them, one at a time; ``defects``, ``bias_sums`` and ``flats`` sum them up. Estimators:
 ``defects`` (what stays), ``bias_sums`` (row noise, colour bias), ``residuals`` (read noise) and ``flats`` (K).
-``checks`` finds the assumptions that do not hold, which ``findings`` declares. ``iso_results`` holds an ISO's figures,
-``joint`` fits lines over K, ``results`` holds a camera's. ``one_iso`` and ``camera`` run it all. The public names load
-on first use.
+``checks`` finds the assumptions that do not hold. ``iso_results`` holds an ISO's figures and findings, ``joint`` fits
+lines over K, ``results`` holds a camera's. ``one_iso`` and ``camera`` run it all. The public names load on first use.
 """
 
 import lazy_loader

@@ -9,7 +9,6 @@ from .camera import calibrate as calibrate
 from .defects import BiasStack as BiasStack
 from .defects import FixedPattern as FixedPattern
 from .defects import fixed_pattern as fixed_pattern
-from .findings import Finding as Finding
 from .flats import FlatPairs as FlatPairs
 from .flats import PhotonTransfer as PhotonTransfer
 from .flats import photon_transfer as photon_transfer
@@ -17,6 +16,7 @@ from .flats import spatial_photon_transfer as spatial_photon_transfer
 from .frames import FramesError as FramesError
 from .held_out import Reproduction as Reproduction
 from .held_out import reproduction as reproduction
+from .iso_results import Finding as Finding
 from .iso_results import IsoCalibration as IsoCalibration
 from .joint import fit_log_log as fit_log_log
 from .residuals import ProbabilityPlot as ProbabilityPlot

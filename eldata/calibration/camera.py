@@ -17,13 +17,11 @@ from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.calibration.checks import take_step
-from eldata.calibration.findings import BLACK, LIGHT, check_acceptance
 from eldata.calibration.frames import WHOLE, FramesError, check_crop, crop_text, picture_crop, sort_frames
-from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
+from eldata.calibration.iso_results import BLACK, LIGHT, FailedIso, IsoCalibration, IsoGain, check_acceptance, describe
 from eldata.calibration.joint import fit_modes, whole_ranges
 from eldata.calibration.one_iso import calibrate_iso, decodings
 from eldata.calibration.results import Calibration
-from eldata.calibration.sentences import describe
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
 from eldata.manifest.verify_report import Problem
@@ -33,8 +31,8 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from eldata.calibration.findings import Finding
     from eldata.calibration.frames import IsoFrames
+    from eldata.calibration.iso_results import Finding
 
 _LEVELS_APART = 0.001  # of the range
 

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration import findings
+from eldata.calibration import iso_results as findings
 from eldata.calibration.bias_sums import LAGS
 from eldata.calibration.flats import straight_line
+from eldata.calibration.iso_results import describe
 from eldata.calibration.residuals import read_noise
-from eldata.calibration.sentences import describe
 from eldata.calibration.tukey_lambda import NEARLY_NORMAL, Ripple
 from eldata.noise.parameters import tukey_lambda_variance
 
@@ -31,9 +31,8 @@ if TYPE_CHECKING:
         ResidualHistogram,
         RowNoise,
     )
-    from eldata.calibration.findings import Finding, Quantity
     from eldata.calibration.flats import FlatPairs, PhotonTransfer, PhotonTransferLine
-    from eldata.calibration.iso_results import IsoCalibration
+    from eldata.calibration.iso_results import Finding, IsoCalibration, Quantity
     from eldata.calibration.residuals import ReadNoise
     from eldata.calibration.sums import Counts, Mask, Values
 

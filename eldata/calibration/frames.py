@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.calibration.sentences import describe
 from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, UnusableRawError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
@@ -216,7 +215,10 @@ class FrameReader:
         first = self._digests.setdefault(blake2b(rows.data, digest_size=16).digest(), record)
         if first is record:
             return False
-        self.remarks.append(describe("remarks.copy", path=record.path, original=first.path))
+        self.remarks.append(
+            f"{record.path} has the same pixels as {first.path} and was left out: a copy, or noise too small for the "
+            "values' steps"
+        )
         return True
 
     def _decode_crop(self, record: FrameRecord) -> RawFrame | RawFileError:
@@ -375,5 +377,8 @@ def unequal_pair(names: str, levels_dn: tuple[float, float]) -> str | None:
     apart = abs(levels_dn[0] - levels_dn[1]) - 1.0  # a DN is no difference
     if apart <= _UNLIKE_PAIR * max(*levels_dn, 1.0):
         return None
-    first, second = levels_dn
-    return describe("remarks.unequal-pair", names=names, first=first, second=second, most=_UNLIKE_PAIR)
+    return (
+        f"{names} were left out: their levels over black are {levels_dn[0]:.0f} and {levels_dn[1]:.0f} DN; equal "
+        f"exposures of a constant light differ by some per cent, and beyond {_UNLIKE_PAIR:.0%} they are not taken for "
+        "two frames of one scene"
+    )

@@ -14,18 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.findings import STEP
 from eldata.calibration.flats import straight_line
-from eldata.calibration.iso_results import SCALES
-from eldata.calibration.sentences import describe
+from eldata.calibration.iso_results import SCALES, STEP, describe
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.profile import GainMode, LogLogFit, modes_problem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from eldata.calibration.findings import Finding
-    from eldata.calibration.iso_results import IsoCalibration, MeasuredFigure
+    from eldata.calibration.iso_results import Finding, IsoCalibration, MeasuredFigure
 
     _Noisy = tuple[IsoCalibration, MeasuredFigure]
 

@@ -17,13 +17,20 @@ from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration import checks
 from eldata.calibration.bias_sums import BiasPairs, BiasSums, colour_bias, power_spectrum, row_noise
 from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, fixed_pattern, too_few_frames
-from eldata.calibration.findings import CLIPPED, NO_LINE, SHAPE, TRANSFER, accept_findings
 from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
 from eldata.calibration.frames import FrameReader, FramesError, measure_frame, measure_pair, unequal_pair
 from eldata.calibration.held_out import compared_piece, reproduction
-from eldata.calibration.iso_results import IsoCalibration, IsoGain
+from eldata.calibration.iso_results import (
+    CLIPPED,
+    NO_LINE,
+    SHAPE,
+    TRANSFER,
+    IsoCalibration,
+    IsoGain,
+    accept_findings,
+    describe,
+)
 from eldata.calibration.residuals import probability_plot, read_noise, single_frame_plot
-from eldata.calibration.sentences import describe
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
 from eldata.raw.container import lossy_compression
@@ -33,8 +40,8 @@ if TYPE_CHECKING:
 
     from eldata.calibration.bias_sums import BiasStatistics, ResidualHistogram
     from eldata.calibration.defects import FixedPattern
-    from eldata.calibration.findings import Finding
     from eldata.calibration.frames import IsoFrames
+    from eldata.calibration.iso_results import Finding
     from eldata.calibration.sums import Mosaic
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, Sensor

@@ -12,8 +12,7 @@ import numpy as np
 from eldata.base.numbers import counted
 from eldata.base.tables import block, table, text_table, with_error
 from eldata.base.visible import in_line
-from eldata.calibration.findings import list_symbols
-from eldata.calibration.iso_results import SCALES
+from eldata.calibration.iso_results import SCALES, list_symbols
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -21,8 +20,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from eldata.calibration.findings import Quantities, Quantity
-    from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
+    from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain, Quantities, Quantity
     from eldata.calibration.joint import FittedMode, LogLogEstimate
     from eldata.manifest.verify_report import Problem
     from eldata.noise.profile import CameraProfile, GainMode

@@ -17,8 +17,7 @@ from eldata.reports.html import digits, format_count, format_measured, join_word
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from eldata.calibration.findings import Effect, Quantity
-    from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
+    from eldata.calibration.iso_results import Effect, IsoCalibration, IsoGain, MeasuredFigure, Quantity
     from eldata.calibration.results import Calibration
     from eldata.reports.calibration_iso import Pictures
     from eldata.reports.html import Plot

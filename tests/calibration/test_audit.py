@@ -11,7 +11,7 @@ import pytest
 
 from eldata.calibration import Finding
 from eldata.calibration.camera import join_isos
-from eldata.calibration.findings import READ, SYMBOLS, accept_findings, list_symbols
+from eldata.calibration.iso_results import READ, SYMBOLS, accept_findings, list_symbols
 from eldata.noise import CameraProfile
 from eldata.reports.calibration import calibration_page
 from eldata.reports.html import typeset
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.calibration import Calibration, IsoCalibration
-    from eldata.calibration.findings import Effect, Quantity
+    from eldata.calibration.iso_results import Effect, Quantity
 
 WHY = "half of the frames are of another planet; photograph this one"
 GAIN_CELL, ROW_CELL = 3, 7  # of a table's row

@@ -5,13 +5,17 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from eldata.calibration.findings import CHECKS
-from eldata.calibration.sentences import read_sentences
+from eldata.calibration.iso_results import CHECKS, read_sentences
 
 ROOT = Path(__file__).parents[2]
 DOCS = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
 CODE = "\n".join(path.read_text(encoding="utf-8") for path in sorted((ROOT / "eldata/calibration").rglob("*.py")))
-REMARKS = [re.sub(r"\{[^}]*\}", "…", text) for text in read_sentences()["remarks"].values()]
+# In frames.py, below the sentences.
+OF_FRAMES = [
+    "… has the same pixels as … and was left out",
+    "… were left out: their levels over black are …",
+]  # frames.py
+REMARKS = [*OF_FRAMES, *(re.sub(r"\{[^}]*\}", "…", text) for text in read_sentences()["remarks"].values())]
 
 
 def phrases() -> list[list[str]]:

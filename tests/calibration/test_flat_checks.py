@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.findings import Finding
+    from eldata.calibration.iso_results import Finding
 
     Pair = tuple[NDArray[np.uint16], NDArray[np.uint16]]
 

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from eldata.calibration.camera import join_isos
-from eldata.calibration.findings import LIGHT, READ
-from eldata.calibration.findings import SHAPE as SHAPE_LOST
-from eldata.calibration.iso_results import MeasuredFigure
+from eldata.calibration.iso_results import LIGHT, READ, MeasuredFigure
+from eldata.calibration.iso_results import SHAPE as SHAPE_LOST
 from eldata.calibration.joint import find_steps, fit_log_log
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile

@@ -14,7 +14,7 @@ from tests.calibration.simulation import XTRANS, Body, Camera
 from tests.shared import there
 
 if TYPE_CHECKING:
-    from eldata.calibration.findings import Finding
+    from eldata.calibration.iso_results import Finding
 
 # --- values that end at 0 ---------------------------------------------------------------------------------------------
 

@@ -18,7 +18,15 @@ from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.calibration.checks import take_step
 from eldata.calibration.frames import WHOLE, FramesError, check_crop, crop_text, picture_crop, sort_frames
-from eldata.calibration.iso_results import BLACK, LIGHT, FailedIso, IsoCalibration, IsoGain, check_acceptance, describe
+from eldata.calibration.iso_results import (
+    BLACK,
+    LIGHT,
+    FailedIso,
+    IsoCalibration,
+    IsoGain,
+    check_acceptance,
+    fill_sentence,
+)
 from eldata.calibration.joint import fit_modes, whole_ranges
 from eldata.calibration.one_iso import calibrate_iso, decodings
 from eldata.calibration.results import Calibration
@@ -125,7 +133,7 @@ def calibrate(
     notes = []
     if area is not None:
         why = "around them there is no picture (--crop states another area)" if crop is None else "as stated"
-        notes = [describe("remarks.area", area=crop_text(area), why=why)]
+        notes = [fill_sentence("remarks.area", area=crop_text(area), why=why)]
     measured = []
     for of_iso, outcome in zip(usable, _calibrate(frames, usable, workers), strict=True):
         if isinstance(outcome, FramesError):
@@ -286,9 +294,9 @@ def _take_common_step(
     step = math.gcd(*(record.step_dn for record in everything)) or 1
     if any(record.step_dn not in {0, step} for record in everything):
         listed = ", ".join(f"{record.step_dn} at ISO {record.iso:g}" for record in everything if record.step_dn)
-        remarks.append(describe("remarks.steps-differ", steps=listed, step=step))
+        remarks.append(fill_sentence("remarks.steps-differ", steps=listed, step=step))
     elif step > 1:
-        remarks.append(describe("remarks.steps-alike", step=step))
+        remarks.append(fill_sentence("remarks.steps-alike", step=step))
     return tuple(take_step(record) if record.step_dn == step else record for record in isos), float(step)
 
 
@@ -307,7 +315,7 @@ def _find_common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[fl
         if max(levels) - min(levels) <= least:
             return float(np.median(levels))
         listed = ", ".join(f"{level:g}" for level in sorted(set(levels))[:6])
-        remarks.append(describe("remarks.levels-differ", name=name, levels=listed))
+        remarks.append(fill_sentence("remarks.levels-differ", name=name, levels=listed))
         return None
 
     return find_common("black", blacks), find_common("white", whites)
@@ -316,13 +324,15 @@ def _find_common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[fl
 def _explain_no_profile(isos: Sequence[IsoCalibration]) -> str:
     """Return the reason that these figures make no profile; empty if they make one."""
     if not isos:
-        return describe("no-profile.flats-alone")
+        return fill_sentence("no-profile.flats-alone")
     if not any(record.gain for record in isos):
-        return describe(f"no-profile.{'k-withheld' if any('gain' in record.withheld for record in isos) else 'no-k'}")
+        return fill_sentence(
+            f"no-profile.{'k-withheld' if any('gain' in record.withheld for record in isos) else 'no-k'}"
+        )
     if not any(record.profile_row for record in isos):
-        return describe("no-profile.no-dark")
+        return fill_sentence("no-profile.no-dark")
     if not any(record.gain and record.sigma_tl_dn for record in isos):
-        return describe("no-profile.never-both")
+        return fill_sentence("no-profile.never-both")
     return ""
 
 
@@ -355,7 +365,7 @@ def check_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, 
         is_lit = any(finding.check == LIGHT.name for finding in record.findings)
         advice = ": the stated black is probably wrong at this ISO; look it up, and state it where you use the files"
         words = {"own": stated + mean, "stated": stated, "bias": mean, "usual": usual}
-        text = describe("findings.wrong-black", **words, advice="" if is_lit else advice)
+        text = fill_sentence("findings.wrong-black", **words, advice="" if is_lit else advice)
         statistics = (moved, limit) if jumps else (abs(mean), far)
         # What other ISOs do not show is drawn with the gain of any (row="any").
         withheld = ("withheld", BLACK.figures) if jumps and not is_lit else ()
@@ -372,4 +382,4 @@ def overall_remarks(isos: Sequence[IsoGain]) -> list[str]:
     if not odd:
         return []
     listed = ", ".join(f"ISO {iso:g} ({ratio / usual:.2f} of it)" for iso, ratio in odd.items())
-    return [describe("remarks.odd-gains", usual=usual, isos=listed)]
+    return [fill_sentence("remarks.odd-gains", usual=usual, isos=listed)]

@@ -15,7 +15,7 @@ import numpy as np
 from eldata.calibration import iso_results as findings
 from eldata.calibration.bias_sums import LAGS
 from eldata.calibration.flats import straight_line
-from eldata.calibration.iso_results import describe
+from eldata.calibration.iso_results import fill_sentence
 from eldata.calibration.residuals import read_noise
 from eldata.calibration.tukey_lambda import NEARLY_NORMAL, Ripple
 from eldata.noise.parameters import tukey_lambda_variance
@@ -90,7 +90,7 @@ def _find_light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, r
     if statistic <= threshold:
         return
     share = 0.5 * slope * over_dark
-    text = describe("findings.light", slope=slope * statistics.sigma_dn**2, share=share)
+    text = fill_sentence("findings.light", slope=slope * statistics.sigma_dn**2, share=share)
     yield from findings.LIGHT.judge(statistic, threshold, text, _share_errors(read, share))
     # Half a DN may be in the colour bias, or in loud noise a fifth of its standard deviation.
     if over_dark > max(0.5, 0.2 * statistics.sigma_dn):
@@ -143,7 +143,7 @@ def _find_correlation(statistics: BiasStatistics, rows: RowNoise, read: ReadNois
     of_pixels = 2 * sum_of(is_clear & (LAGS[:, 0] == 0)) * rows.pixel_variance_dn2 / len(rows.columns.fixed_dn)
     of_rows = math.hypot(share, of_pixels / (2 * max(line.variance_dn2, 1e-12)))
     shares = {**_share_errors(read, share), "row noise": (of_rows, line.relative_error)}
-    text = describe("findings.correlated", largest=correlation[np.abs(correlation).argmax()])
+    text = fill_sentence("findings.correlated", largest=correlation[np.abs(correlation).argmax()])
     yield from findings.CORRELATED.judge(statistic, threshold, text, shares)
 
 
@@ -162,7 +162,7 @@ def _find_steps(rows: RowNoise, read: ReadNoise, step_dn: float) -> Iterator[Fin
         return
     added = (step_dn**2 - 1) / 12
     kind = "even-steps" if step_dn.is_integer() else "uneven-steps"
-    text = describe(f"findings.{kind}", step=step_dn, added=added)
+    text = fill_sentence(f"findings.{kind}", step=step_dn, added=added)
     share = _OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
     shares = _share_errors(read, share)
     if not step_dn.is_integer():  # the mean does not follow the level evenly
@@ -239,7 +239,7 @@ def take_step(record: IsoCalibration) -> IsoCalibration:
     replaced = {check.name for check in (findings.COARSE, findings.FIT, findings.SHAPE, findings.ROUNDING)}
     others = (finding for finding in record.findings if finding.check not in replaced)
     of_steps = read_noise_findings(read, record.bias, record.rows.rows, step, step)
-    found = (*others, *of_steps, findings.COARSE.find(step, 1.0, describe("findings.common-step", step=step)))
+    found = (*others, *of_steps, findings.COARSE.find(step, 1.0, fill_sentence("findings.common-step", step=step)))
     return replace(record, read=read, findings=found, quantisation_step_dn=float(step))
 
 
@@ -259,7 +259,7 @@ def find_clipping(sums: BiasSums) -> Finding:
     """Return the finding that values end at the floor, so that the noise below is gone."""
     fixed = sums.fixed
     share = sums.at_floor / (fixed.frames * fixed.total_dn.size)
-    text = describe("findings.clipped", floor=fixed.floor_dn, percent=100 * share)
+    text = fill_sentence("findings.clipped", floor=fixed.floor_dn, percent=100 * share)
     return findings.CLIPPED.withhold(share, 0.0, text)
 
 
@@ -280,15 +280,15 @@ def read_noise_findings(
     error = math.hypot(1.0, misfit) * read.largest_error
     found = list(_find_rounding(read, bias, rows, step_dn, rounding_dn))
     if not read.converged:
-        text = describe("findings.no-end", residuals=read.residuals)
+        text = fill_sentence("findings.no-end", residuals=read.residuals)
         found.append(findings.SHAPE.withhold(math.inf, _MOST_ERROR, text))
     elif not error < _MOST_ERROR:
         of_misfit = f", {math.hypot(1, misfit):.1f} times as much by their misfit" if misfit else ""
         errors = {"shape": read.tukey_lambda_error, "scale": read.sigma_tl_error_dn / read.sigma_tl_dn}
-        text = describe("findings.no-shape", residuals=read.residuals, misfit=of_misfit, **errors)
+        text = fill_sentence("findings.no-shape", residuals=read.residuals, misfit=of_misfit, **errors)
         found.append(findings.SHAPE.withhold(error, _MOST_ERROR, text))
     elif misfit:
-        text = describe("findings.misfit", chi2=read.chi2_per_dof, limit=limit)
+        text = fill_sentence("findings.misfit", chi2=read.chi2_per_dof, limit=limit)
         found.append(
             findings.FIT.find(read.chi2_per_dof, limit, text, "wider", findings.READ, misfit * read.largest_error)
         )
@@ -309,7 +309,7 @@ def _find_rounding(
     quietest = 0.4 * step_dn  # below, rounding decides what is recorded
     steps = f"steps of {step_dn:.3g}" if step_dn > 1 else "whole"
     if not sigma >= quietest:
-        text = describe("findings.too-quiet", sigma=sigma, quietest=quietest, steps=steps)
+        text = fill_sentence("findings.too-quiet", sigma=sigma, quietest=quietest, steps=steps)
         yield findings.ROUNDING.withhold(sigma, quietest, text, ("shape",))
     # How alike the levels' fractions of a DN are says nothing of wider steps.
     alike = (1.0 if step_dn > 1 else read.alike) * math.exp(-2 * (math.pi * rows.sigma_dn / step_dn) ** 2)
@@ -328,7 +328,7 @@ def _find_rounding(
             f"changes the variance of a pixel's noise by up to {ripple.variance / 2:.1%}, as its level lies between "
             f"two values, that of all by up to {width / 2:.1%}, and"
         )
-    text = describe("findings.quiet", sigma=sigma, steps=steps, changed=changed, shift=shift)
+    text = fill_sentence("findings.quiet", sigma=sigma, steps=steps, changed=changed, shift=shift)
     square, of_rows, of_sigma = ripple.variance**2, rows.relative_error, read.sigma_gauss_error_dn / max(sigma, 1e-12)
     off: dict[Quantity, tuple[float, float, float]] = {  # by so much; what is too much, and what is in the error
         "shape": (_OF_RIPPLE * width + _OF_SQUARE * square, _MOST_ERROR, read.largest_error),
@@ -371,7 +371,7 @@ def find_saturation(flats: FlatPairs) -> Iterator[Finding]:
     over = max(overs)
     where = f"{levels[0]} DN" if len(set(levels)) == 1 else f"{min(levels)} to {max(levels)} DN"
     where += "" if len(piles) == flats.channels else f" in {len(piles)} of {flats.channels} channels"
-    yield findings.SATURATION.withhold(over, _PILED, describe("findings.saturation", where=where, over=over))
+    yield findings.SATURATION.withhold(over, _PILED, fill_sentence("findings.saturation", where=where, over=over))
 
 
 def _find_pile(counts: Counts, limit_dn: float) -> tuple[int, float] | None:
@@ -407,7 +407,7 @@ def find_uneven_steps(flats: FlatPairs, transfer: PhotonTransfer) -> Iterator[Fi
         largest = max(largest, float(steps.max()))
     share, error = float(np.mean(added)) / transfer.gain_dn_per_e, transfer.gain_error / transfer.gain_dn_per_e
     if abs(share) > _OF_ERROR * error:
-        text = describe("findings.curve", largest=largest, share=share)
+        text = fill_sentence("findings.curve", largest=largest, share=share)
         yield from findings.COARSE.judge(abs(share), _OF_ERROR * error, text, {"gain": (abs(share), _OF_ERROR * error)})
 
 
@@ -422,7 +422,7 @@ def _find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
         return
     smoothed = "the frames were smoothed or resampled, or the picture moved between the two of a pair"
     why = smoothed if correlation > 0 else "the frames were sharpened"
-    text = describe("findings.flats-correlated", correlation=correlation, why=why)
+    text = fill_sentence("findings.flats-correlated", correlation=correlation, why=why)
     off: dict[Quantity, tuple[float, float]] = {"gain": (_LOST_PER_CORRELATION * abs(correlation), 0.0)}
     yield from findings.FLATS_CORRELATED.judge(abs(correlation), threshold, text, off)
 
@@ -448,7 +448,7 @@ def _find_bent_line(transfer: PhotonTransfer) -> Iterator[Finding]:
     share, error = max(tests, key=lambda test: test[0] / test[1])
     if not share > _SIGNIFICANT * error:
         return
-    text = describe("findings.bent", off=slopes.mean() / gain - 1, bend=bends.mean())
+    text = fill_sentence("findings.bent", off=slopes.mean() / gain - 1, bend=bends.mean())
     yield from findings.NO_LINE.judge(
         share / error, _SIGNIFICANT, text, {"gain": (max(test[0] for test in tests), 0.0)}
     )

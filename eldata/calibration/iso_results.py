@@ -43,7 +43,7 @@ def read_sentences() -> Mapping[str, Mapping[str, str]]:
     return TextFile(Path(__file__).with_name("sentences.toml"), ArgumentError).toml().data
 
 
-def describe(kind: str, **words: object) -> str:
+def fill_sentence(kind: str, **words: object) -> str:
     """Return a sentence by kind and name, such as ``remarks.drift``, with its words filled in."""
     group, _, name = kind.partition(".")
     return read_sentences()[group][name].format(**words)
@@ -635,4 +635,4 @@ class FailedIso:
     @property
     def remark(self) -> str:
         """What the calibration says of it."""
-        return describe("remarks.failed-iso", iso=self.iso, problems=FramesError(self.problems))
+        return fill_sentence("remarks.failed-iso", iso=self.iso, problems=FramesError(self.problems))

@@ -15,7 +15,7 @@ import numpy as np
 
 from eldata.base.numbers import counted
 from eldata.calibration.flats import straight_line
-from eldata.calibration.iso_results import SCALES, STEP, describe
+from eldata.calibration.iso_results import SCALES, STEP, fill_sentence
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.profile import GainMode, LogLogFit, modes_problem
 
@@ -176,7 +176,7 @@ def find_steps(isos: Sequence[IsoCalibration]) -> list[tuple[float, Finding]]:
     noisy = [(record, noise) for record in known if (noise := record.sigma_gauss_dn) is not None and noise.value > 0]
     for (before, noise), (after, its_noise), off, threshold in _noise_steps(sorted(noisy, key=lambda n: _find_k(n[0]))):
         words = {"before": noise.text, "after": its_noise.text, "off": math.expm1(off)}
-        change = describe("findings.noise-step", **words)
+        change = fill_sentence("findings.noise-step", **words)
         steps.append(_describe_step(before, after, change, off, threshold))
     return sorted(steps, key=lambda step: step[0])
 
@@ -186,7 +186,7 @@ def _describe_step(
 ) -> tuple[float, Finding]:
     """Make the finding on a step between two neighbouring ISOs, after the upper ISO."""
     low, high = sorted((before.iso, after.iso))
-    return high, STEP.find(abs(off), threshold, describe("findings.step", low=low, high=high, change=change))
+    return high, STEP.find(abs(off), threshold, fill_sentence("findings.step", low=low, high=high, change=change))
 
 
 def _noise_steps(noisy: Sequence[_Noisy]) -> Iterator[tuple[_Noisy, _Noisy, float, float]]:
@@ -263,7 +263,7 @@ def fit_modes(
         complete = [record for record in part if record.sigma_tl_dn is not None and record.colour_bias_dn is not None]
         if len({_find_k(record) for record in complete}) < 2:
             which = f"from ISO {ends[place]:g} on" if place else f"below ISO {ends[1]:g}"
-            return (), describe("no-profile.short-mode", which=which)
+            return (), fill_sentence("no-profile.short-mode", which=which)
     fitted = [_fit_mode(part, start, len(parts) > 1, remarks) for start, part in zip(ends, parts, strict=False)]
     limits = [end for lines in fitted for end in lines.mode.iso_range or ()]
     if limits != sorted(limits):  # K does not go with the ISO
@@ -295,11 +295,11 @@ def _fit_mode(part: Sequence[IsoCalibration], start: float, is_one_of_several: b
     fits = [_fit_scale(part, name, f"{label}{where}", remarks) for name, label in SCALES.items()]
     if all(record.sigma_row_dn is None for record in part):
         which = f"at ISO {lowest:g} to {highest:g}: that gain mode" if where else "wherever K is known: the profile"
-        remarks.append(describe("remarks.no-row-noise", where=which))
+        remarks.append(fill_sentence("remarks.no-row-noise", where=which))
     first, least = lowest, _find_k(ends[0])
     if math.isfinite(start) and start != lowest:
         first, least = start, least * start / lowest
-        remarks.append(describe("remarks.begins", lowest=lowest, highest=highest, start=start))
+        remarks.append(fill_sentence("remarks.begins", lowest=lowest, highest=highest, start=start))
     tukey_lambda, gauss, row = (line for _, line in fits)
     mode = GainMode((least, _find_k(ends[-1])), tukey_lambda, gauss, row, (first, highest))
     return FittedMode(mode, *(estimate for estimate, _ in fits))
@@ -314,11 +314,11 @@ def _fit_scale(
     usable = [(gain, scale) for gain, scale in known if 0 < scale.value < math.inf]
     if lost := len(known) - len(usable):
         what = f"{counted(lost, 'ISO')}, which its fit leaves out" if usable else "every ISO; the profile has none"
-        remarks.append(describe("remarks.zero", label=label, where=what))
+        remarks.append(fill_sentence("remarks.zero", label=label, where=what))
     if not usable:
         return None, LogLogFit(0.0, math.log(_NO_NOISE_DN), 0.0)
     if len({gain.value for gain, _ in usable}) < 3:
-        remarks.append(describe("remarks.no-line", label=label, isos=counted(len(usable), "ISO")))
+        remarks.append(fill_sentence("remarks.no-line", label=label, isos=counted(len(usable), "ISO")))
         return None, None
     values, errors = (
         [[read(figure) for figure in figures] for figures in zip(*usable, strict=True)]

@@ -28,7 +28,6 @@ from eldata.calibration.iso_results import (
     IsoCalibration,
     IsoGain,
     accept_findings,
-    describe,
 )
 from eldata.calibration.residuals import probability_plot, read_noise, single_frame_plot
 from eldata.errors import ArgumentError, DatasetError
@@ -197,7 +196,7 @@ def _estimate(
 def _measure_gain(reader: FrameReader, chosen: IsoFrames, *lost: Finding) -> IsoGain:
     """Measure K from flats alone."""
     record = _measure_flats(reader, chosen, None)
-    alone = () if lost else (describe("remarks.k-alone"),)
+    alone = () if lost else (fill_sentence("remarks.k-alone"),)
     remarks = (*reader.remarks, *alone, *record.remarks, *transfer_remarks(record))
     return replace(record, remarks=remarks, findings=(*lost, *record.findings))
 
@@ -302,37 +301,37 @@ def bias_remarks(record: IsoCalibration, chosen: IsoFrames, lossy: str | None) -
     rows, columns, pattern, compared = record.rows.rows, record.rows.columns, record.pattern, record.reproduction
     remarks, has_rows = [], "row noise" not in record.withheld
     if record.bias_frames < ADVISED_FRAMES - 1:
-        remarks.append(describe("remarks.few-bias", frames=record.bias_frames, advised=ADVISED_FRAMES))
+        remarks.append(fill_sentence("remarks.few-bias", frames=record.bias_frames, advised=ADVISED_FRAMES))
     if chosen.bias_exposure_s is not None and chosen.bias_exposure_s > _LONGEST_BIAS_S:
-        remarks.append(describe("remarks.long-bias", exposure_s=float(chosen.bias_exposure_s)))
+        remarks.append(fill_sentence("remarks.long-bias", exposure_s=float(chosen.bias_exposure_s)))
     if lossy is not None:
-        remarks.append(describe("remarks.lossy", loss=lossy))
+        remarks.append(fill_sentence("remarks.lossy", loss=lossy))
     if has_rows and rows.sigma_dn == 0:
-        remarks.append(describe("remarks.no-rows", error=rows.sigma_error_dn))
+        remarks.append(fill_sentence("remarks.no-rows", error=rows.sigma_error_dn))
     elif has_rows and rows.shapiro_p < 1e-3 and abs(rows.excess_kurtosis) > 0.5:
-        remarks.append(describe("remarks.rows-not-normal", p=rows.shapiro_p, kurtosis=rows.excess_kurtosis))
+        remarks.append(fill_sentence("remarks.rows-not-normal", p=rows.shapiro_p, kurtosis=rows.excess_kurtosis))
     of_columns = columns.variance_dn2 > 5 * columns.variance_error_dn2 and columns.sigma_dn > 0.3 * rows.sigma_dn
     if has_rows and of_columns:
-        remarks.append(describe("remarks.columns", sigma=columns.sigma_dn))
+        remarks.append(fill_sentence("remarks.columns", sigma=columns.sigma_dn))
     error = max(record.bias.standard_error_dn)
     if record.bias.drifts and error > _DRIFT_DN:
-        remarks.append(describe("remarks.drift", error=error))
+        remarks.append(fill_sentence("remarks.drift", error=error))
     of_defects = max(record.bias.of_defects_dn, key=abs)
     if abs(of_defects) > max(2 * error, _OF_DEFECTS_DN) and "colour bias" not in record.withheld:
-        remarks.append(describe("remarks.defects", defects=pattern.defects, bias=of_defects))
+        remarks.append(fill_sentence("remarks.defects", defects=pattern.defects, bias=of_defects))
     if pattern.defects > 0.01 * pattern.pixels:
         shares = {name: getattr(pattern, name) / pattern.pixels for name in ("defects", "stuck", "off_level")}
-        remarks.append(describe("remarks.left-out", **shares))
+        remarks.append(fill_sentence("remarks.left-out", **shares))
     if compared is not None and compared.histogram_distance > max(4 * compared.histogram_distance_by_chance, 0.02):
         distances = {"distance": compared.histogram_distance, "chance": compared.histogram_distance_by_chance}
-        remarks.append(describe("remarks.unlike-model", **distances))
+        remarks.append(fill_sentence("remarks.unlike-model", **distances))
     return tuple(remarks)
 
 
 def no_pairs(chosen: IsoFrames) -> str:
     """Return the remark on an ISO whose K is not known."""
     single = f"{counted(len(chosen.single), 'flat frame')} and no two of one exposure"
-    return describe("remarks.no-pairs", flats=single if chosen.single else "no flat frames")
+    return fill_sentence("remarks.no-pairs", flats=single if chosen.single else "no flat frames")
 
 
 def flat_remarks(chosen: IsoFrames) -> tuple[str, ...]:
@@ -341,9 +340,11 @@ def flat_remarks(chosen: IsoFrames) -> tuple[str, ...]:
     if chosen.single:
         names = ", ".join(record.path for record in chosen.single[:3])
         more = f" and {len(chosen.single) - 3} more" if len(chosen.single) > 3 else ""
-        remarks.append(describe("remarks.single-flats", names=names + more))
+        remarks.append(fill_sentence("remarks.single-flats", names=names + more))
     if len(chosen.pairs) < _LEAST_PAIRS:
-        remarks.append(describe("remarks.few-pairs", pairs=counted(len(chosen.pairs), "pair"), advised=_LEAST_PAIRS))
+        remarks.append(
+            fill_sentence("remarks.few-pairs", pairs=counted(len(chosen.pairs), "pair"), advised=_LEAST_PAIRS)
+        )
     return tuple(remarks)
 
 
@@ -353,15 +354,15 @@ def transfer_remarks(record: IsoGain) -> tuple[str, ...]:
     remarks = []
     if gain is not None and stated is not None:
         if gain.is_stated:
-            remarks.append(describe("remarks.k-stated", stated=stated))
+            remarks.append(fill_sentence("remarks.k-stated", stated=stated))
         elif abs(stated - gain.value) > _DISAGREEMENT * gain.error:
-            remarks.append(describe("remarks.k-measured", stated=stated))
+            remarks.append(fill_sentence("remarks.k-measured", stated=stated))
     if transfer is None:
         return tuple(remarks)
     if transfer.left_out > 0.5:
-        remarks.append(describe("remarks.too-bright", share=transfer.left_out))
+        remarks.append(fill_sentence("remarks.too-bright", share=transfer.left_out))
     brightest = max(float(line.signal_dn.max()) for line in transfer.channels)
     share = brightest / (sensor.white_level_dn - float(np.mean(sensor.black_level_dn)))
     if share < 0.25:
-        remarks.append(describe("remarks.too-dark", share=share))
+        remarks.append(fill_sentence("remarks.too-dark", share=share))
     return tuple(remarks)

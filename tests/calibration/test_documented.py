@@ -36,7 +36,7 @@ def test_each_remark_is_documented_and_each_documented_one_is_made() -> None:
 def test_each_sentence_is_said() -> None:
     """By its name, whole, or with the last word chosen; and none is asked for that there is not."""
     names = {f"{kind}.{name}" for kind, texts in read_sentences().items() for name in texts}
-    asked = set(re.findall(r'describe\(\s*"([a-z.-]+)"', CODE))
+    asked = set(re.findall(r'fill_sentence\(\s*"([a-z.-]+)"', CODE))
     chosen = {"findings.even-steps", "findings.uneven-steps", "no-profile.k-withheld", "no-profile.no-k"}
     assert asked | chosen == names
 

@@ -28,6 +28,7 @@ from eldata.calibration.iso_results import (
     IsoCalibration,
     IsoGain,
     accept_findings,
+    fill_sentence,
 )
 from eldata.calibration.residuals import probability_plot, read_noise, single_frame_plot
 from eldata.errors import ArgumentError, DatasetError

@@ -245,22 +245,22 @@ _LEFT = (0, 2, 6, 7)
 
 def text_checklist(plan: Plan) -> str:
     """Return the checklist as plain text."""
-
-    def heading(level: int, text: str) -> str:
-        """Underline a heading."""
-        return f"{text}\n{'=-'[level - 1] * len(text)}"
-
-    return _format_checklist(plan, heading, one_line, lambda cells: text_table(_HEADER, cells, _LEFT))
+    return _format_checklist(
+        plan,
+        lambda level, text: f"{text}\n{'=-'[level - 1] * len(text)}",
+        one_line,
+        lambda cells: text_table(_HEADER, cells, _LEFT),
+    )
 
 
 def markdown_checklist(plan: Plan) -> str:
     """Return the checklist as Markdown; its tables are aligned for reading as they stand."""
-
-    def heading(level: int, text: str) -> str:
-        """Write a heading in Markdown."""
-        return f"{'#' * level} {text}"
-
-    return _format_checklist(plan, heading, markdown_text, lambda cells: aligned_markdown((_HEADER, *cells), _LEFT))
+    return _format_checklist(
+        plan,
+        lambda level, text: f"{'#' * level} {text}",
+        markdown_text,
+        lambda cells: aligned_markdown((_HEADER, *cells), _LEFT),
+    )
 
 
 def _format_checklist(

@@ -25,7 +25,7 @@ from capture.camera import STOPS_TOLERANCE
 from capture.plan import CALIBRATION
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from capture.observed import Observed, ObservedFrame
     from capture.plan import Plan
@@ -286,40 +286,32 @@ class _Matcher:
 
     def fill_gaps(self, windows: Mapping[ShotBlock, range]) -> None:
         """Give shots without a frame the frame with their settings that was taken elsewhere around the scene."""
-        for block, window in windows.items():
-            at = self._index_frames(block)
-            for shot in block.shots:
-                if shot.number in at:
-                    continue
-                spare = [i for i in self._list_unexplained(window) if i in self.fitting[shot.settings]]
-                if not spare:
-                    continue
-                middle = max((i for number, i in at.items() if number < shot.number), default=min(at.values()))
-                chosen = min(spare, key=lambda i: abs(i - middle))
-                self.used[chosen] = (block, shot)
-                after = [number for number, i in at.items() if i < chosen]
-                at[shot.number] = chosen
-                where = f"after frame {max(after, key=lambda number: at[number])}" if after else "before all others"
-                text = f"{self._name_file(chosen)}: {block.title} frame {shot.number}, taken out of order ({where})"
-                self._note("out-of-order", text, (block, shot), chosen)
+        for block, shot, at in self._list_missing(windows):
+            spare = [i for i in self._list_unexplained(windows[block]) if i in self.fitting[shot.settings]]
+            if not spare:
+                continue
+            middle = max((i for number, i in at.items() if number < shot.number), default=min(at.values()))
+            chosen = min(spare, key=lambda i, middle=middle: abs(i - middle))  # type: ignore[misc]
+            self.used[chosen] = (block, shot)
+            after = [number for number, i in at.items() if i < chosen]
+            where = f"after frame {max(after, key=at.__getitem__)}" if after else "before all others"
+            at[shot.number] = chosen
+            text = f"{self._name_file(chosen)}: {block.title} frame {shot.number}, taken out of order ({where})"
+            self._note("out-of-order", text, (block, shot), chosen)
 
     def note_missing(self, windows: Mapping[ShotBlock, range]) -> None:
         """Name the shots without a frame, and a frame with nearly their settings that was meant for them."""
-        for block in self.blocks:
-            at = self._index_frames(block)
-            for shot in block.shots:
-                if shot.number in at:
-                    continue
-                nothing = f"{block.title}: none of its {len(block.shots)} frames"
-                text = describe_missing(block.title, shot) if at else nothing
-                near = self._find_meant(shot, windows[block], at) if at else None
-                if near is not None:
-                    frame = self.frames[near]
-                    text += f"; {frame.path.name} may be meant, but was taken at {frame.settings}"
-                    wanted = f"{block.title} frame {shot.number} asks for {shot.settings}"
-                    wrong = f"{frame.path.name}: {frame.settings}, where {wanted}; not used"
-                    self._note("wrong-setting", wrong, (block, shot), near)
-                self._note("missing", text, (block, shot))
+        for block, shot, at in self._list_missing(self.blocks):
+            nothing = f"{block.title}: none of its {len(block.shots)} frames"
+            text = describe_missing(block.title, shot) if at else nothing
+            near = self._find_meant(shot, windows[block], at) if at else None
+            if near is not None:
+                frame = self.frames[near]
+                text += f"; {frame.path.name} may be meant, but was taken at {frame.settings}"
+                wanted = f"{block.title} frame {shot.number} asks for {shot.settings}"
+                wrong = f"{frame.path.name}: {frame.settings}, where {wanted}; not used"
+                self._note("wrong-setting", wrong, (block, shot), near)
+            self._note("missing", text, (block, shot))
 
     def _find_meant(self, shot: Shot, window: range, at: dict[int, int]) -> int | None:
         """Find the left-over frame that is where a missing shot should be, with the ISO or time slightly off."""
@@ -344,9 +336,11 @@ class _Matcher:
                     break
             self._note(kind, f"{frame.path.name}: {frame.settings}: {text}; not used", frame=index)
 
-    def _index_frames(self, block: ShotBlock) -> dict[int, int]:
-        """Map the number of each matched shot of a block to its frame's index."""
-        return {shot.number: index for index, (owner, shot) in self.used.items() if owner is block}
+    def _list_missing(self, blocks: Iterable[ShotBlock]) -> Iterator[tuple[ShotBlock, Shot, dict[int, int]]]:
+        """Yield the shots without a frame, with the indices of the frames of their block's others by number."""
+        for block in blocks:
+            at = {shot.number: index for index, (owner, shot) in self.used.items() if owner is block}
+            yield from ((block, shot, at) for shot in block.shots if shot.number not in at)
 
     def _list_unexplained(self, among: range) -> list[int]:
         """Return the frames that are neither used nor remarked on."""

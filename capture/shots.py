@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Final
 
 from capture.camera import ExactNumber, as_exact
 from capture.capture_errors import CaptureError, ImpossibleShotError
+from eldata.manifest.pair_checks import RATIO_TOLERANCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
     from capture.camera import CameraDescription, ShutterTime
     from capture.protocol import CaptureProtocol, ProtocolFrame
     from eldata.records import Role
-
-# As in eldata verify, which refuses a pair whose ratio is further off its nominal one.
-RATIO_TOLERANCE: Final = Fraction(1, 10)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,11 +165,6 @@ def _check_iso(camera: CameraDescription, iso: int) -> None:
         )
 
 
-def _compute_light_share(camera: CameraDescription, protocol: CaptureProtocol, frame: ProtocolFrame) -> Fraction:
-    """Return the time of a noisy frame over its reference's, by the ISOs' speeds and its factor."""
-    return camera.speed(protocol.base_iso) / camera.speed(frame.iso) / (frame.factor or 1)
-
-
 @cache  # a checklist asks for every time on the dial, and what to change needs all of them
 def _try_shots(
     camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction
@@ -183,28 +176,25 @@ def _try_shots(
         return frames[0]
     shots = []
     speeds = dict(camera.true_isos)
-    alike: dict[tuple[int, int], Shot] = {}  # of up to 99 repeats one is computed
+    alike: dict[tuple[int, int | None], Shot] = {}  # of up to 99 repeats one is computed
     for frame in frames:
-        target_s = protocol.exposure_s(frame, base.nominal_s)
-        true_iso = speeds.get(frame.iso)
-        if frame.factor is None:
-            shots.append(Shot(frame.number, frame.role, frame.iso, target_s, base, true_iso=true_iso))
-            continue
-        before = alike.get((frame.iso, frame.factor))
-        if before is not None:
-            shots.append(replace(before, number=frame.number, reference=frame.reference))
-            continue
-        light = _compute_light_share(camera, protocol, frame)
-        setting = camera.round_to_nearest(base.true_exact * light)
-        if setting is None:
-            return frame
-        ratios = (
-            base.true_exact / setting.true_exact * light * frame.factor,
-            base.nominal_s / setting.nominal_s * Fraction(protocol.base_iso, frame.iso),
-        )
-        shot = Shot(frame.number, frame.role, frame.iso, target_s, setting, frame.factor, frame.reference, *ratios)
-        alike[frame.iso, frame.factor] = replace(shot, true_iso=true_iso)
-        shots.append(alike[frame.iso, frame.factor])
+        shot = alike.get((frame.iso, frame.factor))
+        if shot is None:
+            target_s = protocol.exposure_s(frame, base.nominal_s)
+            shot = Shot(frame.number, frame.role, frame.iso, target_s, base, true_iso=speeds.get(frame.iso))
+            if frame.factor is not None:
+                # The time of a noisy frame over its reference's, by the ISOs' speeds and its factor.
+                light = camera.speed(protocol.base_iso) / camera.speed(frame.iso) / frame.factor
+                setting = camera.round_to_nearest(base.true_exact * light)
+                if setting is None:
+                    return frame
+                true_ratio = base.true_exact / setting.true_exact * light * frame.factor
+                named_ratio = base.nominal_s / setting.nominal_s * Fraction(protocol.base_iso, frame.iso)
+                shot = replace(
+                    shot, setting=setting, factor=frame.factor, true_ratio=true_ratio, named_ratio=named_ratio
+                )
+            alike[frame.iso, frame.factor] = shot
+        shots.append(replace(shot, number=frame.number, reference=frame.reference))
     return tuple(shots)
 
 

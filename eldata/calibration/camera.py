@@ -17,7 +17,7 @@ from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.calibration.checks import take_step
-from eldata.calibration.frames import FramesError, check_crop, crop_text, picture_crop, sort_frames
+from eldata.calibration.frames import WHOLE, FramesError, check_crop, crop_text, picture_crop, sort_frames
 from eldata.calibration.iso_results import (
     BLACK,
     LIGHT,
@@ -25,6 +25,7 @@ from eldata.calibration.iso_results import (
     IsoCalibration,
     IsoGain,
     check_acceptance,
+    fill_sentence,
 )
 from eldata.calibration.joint import fit_modes, whole_ranges
 from eldata.calibration.one_iso import calibrate_iso, decodings
@@ -122,18 +123,17 @@ def calibrate(
     starts = None if modes is None else _check_starts(frames, modes)
     # The headers of a folder are read here: they are small, and an executor takes whole ISOs.
     chosen = sort_frames(frames, Workers(workers.jobs))
-    usable = [
-        replace(of_iso, stated_gain_dn_per_e=stated.get(float(of_iso.iso)), accept=accept)
-        for of_iso in chosen
-        if not of_iso.problems
-    ]
     failed = [FailedIso(float(of_iso.iso), of_iso.problems) for of_iso in chosen if of_iso.problems]
+    usable = [of_iso for of_iso in chosen if not of_iso.problems]
     area = picture_crop(frames, usable) if crop is None else check_crop(crop)
+    usable = [
+        replace(of_iso, stated_gain_dn_per_e=stated.get(float(of_iso.iso)), accept=accept, crop=area or WHOLE)
+        for of_iso in usable
+    ]
     notes = []
     if area is not None:
-        usable = [replace(of_iso, crop=area) for of_iso in usable]
         why = "around them there is no picture (--crop states another area)" if crop is None else "as stated"
-        notes = [f"rows and columns {crop_text(area)} are used, {why}"]
+        notes = [fill_sentence("remarks.area", area=crop_text(area), why=why)]
     measured = []
     for of_iso, outcome in zip(usable, _calibrate(frames, usable, workers), strict=True):
         if isinstance(outcome, FramesError):
@@ -294,12 +294,9 @@ def _take_common_step(
     step = math.gcd(*(record.step_dn for record in everything)) or 1
     if any(record.step_dn not in {0, step} for record in everything):
         listed = ", ".join(f"{record.step_dn} at ISO {record.iso:g}" for record in everything if record.step_dn)
-        remarks.append(
-            f"values step by so many DN: {listed}. The profile's quantisation_step_dn is {step}, and the read noise "
-            "holds what coarser rounding adds"
-        )
+        remarks.append(fill_sentence("remarks.steps-differ", steps=listed, step=step))
     elif step > 1:
-        remarks.append(f"values step by {step} DN at every ISO: the profile's quantisation_step_dn, for component U")
+        remarks.append(fill_sentence("remarks.steps-alike", step=step))
     return tuple(take_step(record) if record.step_dn == step else record for record in isos), float(step)
 
 
@@ -318,7 +315,7 @@ def _find_common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[fl
         if max(levels) - min(levels) <= least:
             return float(np.median(levels))
         listed = ", ".join(f"{level:g}" for level in sorted(set(levels))[:6])
-        remarks.append(f"the {name} level differs by ISO or channel ({listed} DN); the profile leaves it open")
+        remarks.append(fill_sentence("remarks.levels-differ", name=name, levels=listed))
         return None
 
     return find_common("black", blacks), find_common("white", whites)
@@ -327,22 +324,15 @@ def _find_common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[fl
 def _explain_no_profile(isos: Sequence[IsoCalibration]) -> str:
     """Return the reason that these figures make no profile; empty if they make one."""
     if not isos:
-        return (
-            "there are flats alone, which give K and no noise of the dark: take ten bias frames or more of each ISO, "
-            "with the lens capped, at the shortest exposure"
-        )
+        return fill_sentence("no-profile.flats-alone")
     if not any(record.gain for record in isos):
-        if any("gain" in record.withheld for record in isos):
-            return "K is withheld at every ISO that has flats; the remarks say why"
-        return (
-            "no ISO with bias frames has two flats of the same exposure, so K is not known: take pairs of equal flats "
-            "at four exposures or more, from a tenth to nine tenths of the range, or state K (--gain ISO=K, "
-            "gains={ISO: K})"
+        return fill_sentence(
+            f"no-profile.{'k-withheld' if any('gain' in record.withheld for record in isos) else 'no-k'}"
         )
     if not any(record.profile_row for record in isos):
-        return "the read noise or the colour bias is withheld at every ISO; the remarks say why"
+        return fill_sentence("no-profile.no-dark")
     if not any(record.gain and record.sigma_tl_dn for record in isos):
-        return "no ISO has both K and the read noise; the remarks say why"
+        return fill_sentence("no-profile.never-both")
     return ""
 
 
@@ -371,14 +361,11 @@ def check_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, 
         jumps = moved > limit and abs(mean) > abs(usual)
         if not jumps and abs(mean) <= far:
             return
-        black = float(np.mean(record.sensor.black_level_dn))
-        text = (
-            f"the bias frames' own black is {black + mean:.1f} DN, the files state {black:g} (a colour bias of "
-            f"{mean:.3g} DN; at the other ISOs {usual:.3g})"
-        )
+        stated = float(np.mean(record.sensor.black_level_dn))
         is_lit = any(finding.check == LIGHT.name for finding in record.findings)
-        if not is_lit:
-            text += ": the stated black is probably wrong at this ISO; look it up, and state it where you use the files"
+        advice = ": the stated black is probably wrong at this ISO; look it up, and state it where you use the files"
+        words = {"own": stated + mean, "stated": stated, "bias": mean, "usual": usual}
+        text = fill_sentence("findings.wrong-black", **words, advice="" if is_lit else advice)
         statistics = (moved, limit) if jumps else (abs(mean), far)
         # What other ISOs do not show is drawn with the gain of any (row="any").
         withheld = ("withheld", BLACK.figures) if jumps and not is_lit else ()
@@ -395,4 +382,4 @@ def overall_remarks(isos: Sequence[IsoGain]) -> list[str]:
     if not odd:
         return []
     listed = ", ".join(f"ISO {iso:g} ({ratio / usual:.2f} of it)" for iso, ratio in odd.items())
-    return [f"K / ISO is usually {usual:.4g} DN/e-, but not at {listed}: an extended ISO, or frames of another one?"]
+    return [fill_sentence("remarks.odd-gains", usual=usual, isos=listed)]

@@ -12,22 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.calibration import iso_results as findings
 from eldata.calibration.bias_sums import LAGS
 from eldata.calibration.flats import straight_line
-from eldata.calibration.iso_results import (
-    CHANCE,
-    CLIPPED,
-    COARSE,
-    CORRELATED,
-    FIT,
-    FLATS_CORRELATED,
-    LIGHT,
-    NO_LINE,
-    READ,
-    ROUNDING,
-    SATURATION,
-    SHAPE,
-)
+from eldata.calibration.iso_results import fill_sentence
 from eldata.calibration.residuals import read_noise
 from eldata.calibration.tukey_lambda import NEARLY_NORMAL, Ripple
 from eldata.noise.parameters import tukey_lambda_variance
@@ -98,21 +86,17 @@ def _find_light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, r
     smooth = np.stack([part.ravel() for part in (np.ones_like(x), x, y, x * y, x**2, y**2)], axis=1)
     slopes = (_fit_slope(level.ravel(), variance, shading, ripple) for shading in (flat, smooth))
     statistic, slope, over_dark = max(slopes, key=lambda test: test[0])
-    threshold = float(stdtrit(level.size - 7, 1 - CHANCE / 2))
+    threshold = float(stdtrit(level.size - 7, 1 - findings.CHANCE / 2))
     if statistic <= threshold:
         return
     share = 0.5 * slope * over_dark
-    text = (
-        f"light or dark current in the bias frames: where they are brighter, their noise is larger "
-        f"({slope * statistics.sigma_dn**2:.2g} DN^2 for each DN), which adds {share:.1%} or more to the read noise; "
-        "cap the lens, cover the viewfinder, and take them in the dark at the shortest exposure"
-    )
-    yield from LIGHT.judge(statistic, threshold, text, _share_errors(read, share))
+    text = fill_sentence("findings.light", slope=slope * statistics.sigma_dn**2, share=share)
+    yield from findings.LIGHT.judge(statistic, threshold, text, _share_errors(read, share))
     # Half a DN may be in the colour bias, or in loud noise a fifth of its standard deviation.
     if over_dark > max(0.5, 0.2 * statistics.sigma_dn):
-        yield LIGHT.withhold(statistic, threshold, text, ("colour bias",), over_dark)
+        yield findings.LIGHT.withhold(statistic, threshold, text, ("colour bias",), over_dark)
     elif over_dark > min(bias.standard_error_dn):
-        yield LIGHT.find(statistic, threshold, text, "wider", ("colour bias",), over_dark)
+        yield findings.LIGHT.find(statistic, threshold, text, "wider", ("colour bias",), over_dark)
 
 
 def _fit_slope(level: Values, variance: Values, shading: Values, ripple: Ripple) -> tuple[float, float, float]:
@@ -145,7 +129,7 @@ def _find_correlation(statistics: BiasStatistics, rows: RowNoise, read: ReadNois
     along = [np.equal(LAGS, lag).all(axis=1) | np.equal(LAGS, lag[::-1]).all(axis=1) for lag in ((0, 1), (0, 2))]
     axes = [float(correlation[chosen].sum()) / math.sqrt(2) for chosen in along]
     tests = (np.abs(np.array([*correlation, *axes])) - ripple.mean**2 / 4) / error
-    statistic, threshold = float(tests.max()), -float(ndtri(CHANCE / 2 / tests.size))
+    statistic, threshold = float(tests.max()), -float(ndtri(findings.CHANCE / 2 / tests.size))
     if statistic <= threshold:
         return
     is_clear = np.abs(correlation) > 3 * error
@@ -159,12 +143,8 @@ def _find_correlation(statistics: BiasStatistics, rows: RowNoise, read: ReadNois
     of_pixels = 2 * sum_of(is_clear & (LAGS[:, 0] == 0)) * rows.pixel_variance_dn2 / len(rows.columns.fixed_dn)
     of_rows = math.hypot(share, of_pixels / (2 * max(line.variance_dn2, 1e-12)))
     shares = {**_share_errors(read, share), "row noise": (of_rows, line.relative_error)}
-    largest = correlation[np.abs(correlation).argmax()]
-    text = (
-        f"neighbouring pixels share noise in the bias frames (correlation {largest:.3f}): the camera or a converter "
-        "has filtered these files, or the sensor mixes neighbours; use files without noise reduction and resampling"
-    )
-    yield from CORRELATED.judge(statistic, threshold, text, shares)
+    text = fill_sentence("findings.correlated", largest=correlation[np.abs(correlation).argmax()])
+    yield from findings.CORRELATED.judge(statistic, threshold, text, shares)
 
 
 # --- steps of the values ----------------------------------------------------------------------------------------------
@@ -181,18 +161,13 @@ def _find_steps(rows: RowNoise, read: ReadNoise, step_dn: float) -> Iterator[Fin
     if step_dn <= _UNEVEN_DN:
         return
     added = (step_dn**2 - 1) / 12
-    how = " in the mean, unevenly: multiplied after conversion, or compressed with loss"
-    if step_dn.is_integer():
-        how = ": fewer bits than the file has room for, or multiplied after conversion"
-    text = (
-        f"the bias frames' values step by {step_dn:.3g} DN{how}; rounding adds {added:.2g} DN^2 more than the model's; "
-        "use a raw mode with all bits, or leave this ISO out"
-    )
+    kind = "even-steps" if step_dn.is_integer() else "uneven-steps"
+    text = fill_sentence(f"findings.{kind}", step=step_dn, added=added)
     share = _OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
     shares = _share_errors(read, share)
     if not step_dn.is_integer():  # the mean does not follow the level evenly
         shares["row noise"] = (share / _OF_LIGHTER_TAILS, rows.rows.relative_error)
-    yield from COARSE.judge(step_dn, _UNEVEN_DN, text, shares)
+    yield from findings.COARSE.judge(step_dn, _UNEVEN_DN, text, shares)
 
 
 def mean_step(codes: Counts) -> float:
@@ -260,16 +235,12 @@ def take_step(record: IsoCalibration) -> IsoCalibration:
     """Replace the ISO's read noise by its estimate without rounding to steps, if that is known."""
     if record.stepped is None:
         return record
-    text = (
-        f"the values step by {record.step_dn} DN: fewer bits than the file has room for; the read noise is without "
-        "that rounding, which is component U's (quantisation_step_dn)"
-    )
     step, read = record.step_dn, record.stepped
-    replaced = {check.name for check in (COARSE, FIT, SHAPE, ROUNDING)}
+    replaced = {check.name for check in (findings.COARSE, findings.FIT, findings.SHAPE, findings.ROUNDING)}
     others = (finding for finding in record.findings if finding.check not in replaced)
     of_steps = read_noise_findings(read, record.bias, record.rows.rows, step, step)
-    findings = (*others, *of_steps, COARSE.find(step, 1.0, text))
-    return replace(record, read=read, findings=findings, quantisation_step_dn=float(step))
+    found = (*others, *of_steps, findings.COARSE.find(step, 1.0, fill_sentence("findings.common-step", step=step)))
+    return replace(record, read=read, findings=found, quantisation_step_dn=float(step))
 
 
 # --- read noise -------------------------------------------------------------------------------------------------------
@@ -288,13 +259,8 @@ def find_clipping(sums: BiasSums) -> Finding:
     """Return the finding that values end at the floor, so that the noise below is gone."""
     fixed = sums.fixed
     share = sums.at_floor / (fixed.frames * fixed.total_dn.size)
-    text = (
-        f"values end at {fixed.floor_dn} DN, where {100 * share:.2g} % of the bias frames' values lie: what "
-        "the noise has below, if anything, is gone, and with it its shape, its scale and the level that it belongs "
-        "to; use raw files that keep the black level (converters and some raw modes take it off), or state this "
-        "camera's noise from another source"
-    )
-    return CLIPPED.withhold(share, 0.0, text)
+    text = fill_sentence("findings.clipped", floor=fixed.floor_dn, percent=100 * share)
+    return findings.CLIPPED.withhold(share, 0.0, text)
 
 
 def read_noise_findings(
@@ -312,28 +278,21 @@ def read_noise_findings(
     limit = float(chdtri(read.chi2_freedom, 1e-6)) / read.chi2_freedom  # by chance once in a million fits
     misfit = math.sqrt(read.chi2_per_dof - 1) if read.chi2_per_dof > limit else 0.0
     error = math.hypot(1.0, misfit) * read.largest_error
-    findings = list(_find_rounding(read, bias, rows, step_dn, rounding_dn))
+    found = list(_find_rounding(read, bias, rows, step_dn, rounding_dn))
     if not read.converged:
-        text = (
-            f"the fit of a Tukey-lambda distribution to {read.residuals} residuals came to no end: lambda and its "
-            "error are not known; look at its plots"
-        )
-        findings.append(SHAPE.withhold(math.inf, _MOST_ERROR, text))
+        text = fill_sentence("findings.no-end", residuals=read.residuals)
+        found.append(findings.SHAPE.withhold(math.inf, _MOST_ERROR, text))
     elif not error < _MOST_ERROR:
-        text = (
-            f"{read.residuals} residuals do not tell the shape of the read noise: lambda is uncertain by "
-            f"{read.tukey_lambda_error:.2g}, sigma_TL by {read.sigma_tl_error_dn / read.sigma_tl_dn:.1%}"
-            + (f", {math.hypot(1, misfit):.1f} times as much by their misfit" if misfit else "")
-            + "; look at its plots, and use more frames or a higher ISO"
-        )
-        findings.append(SHAPE.withhold(error, _MOST_ERROR, text))
+        of_misfit = f", {math.hypot(1, misfit):.1f} times as much by their misfit" if misfit else ""
+        errors = {"shape": read.tukey_lambda_error, "scale": read.sigma_tl_error_dn / read.sigma_tl_dn}
+        text = fill_sentence("findings.no-shape", residuals=read.residuals, misfit=of_misfit, **errors)
+        found.append(findings.SHAPE.withhold(error, _MOST_ERROR, text))
     elif misfit:
-        text = (
-            f"the residuals do not follow the fitted Tukey-lambda distribution (chi2 per degree of freedom "
-            f"{read.chi2_per_dof:.1f}, by chance at most {limit:.1f}): look at its plots"
+        text = fill_sentence("findings.misfit", chi2=read.chi2_per_dof, limit=limit)
+        found.append(
+            findings.FIT.find(read.chi2_per_dof, limit, text, "wider", findings.READ, misfit * read.largest_error)
         )
-        findings.append(FIT.find(read.chi2_per_dof, limit, text, "wider", READ, misfit * read.largest_error))
-    return tuple(findings)
+    return tuple(found)
 
 
 def _find_rounding(
@@ -350,12 +309,8 @@ def _find_rounding(
     quietest = 0.4 * step_dn  # below, rounding decides what is recorded
     steps = f"steps of {step_dn:.3g}" if step_dn > 1 else "whole"
     if not sigma >= quietest:
-        text = (
-            f"the read noise is {sigma:.2g} DN, below {quietest:.2g} DN, where rounding to {steps} DN decides what is "
-            "recorded, and the shape of the noise is not seen: use a raw mode of more bits, or the figures of a higher "
-            "ISO"
-        )
-        yield ROUNDING.withhold(sigma, quietest, text, ("shape",))
+        text = fill_sentence("findings.too-quiet", sigma=sigma, quietest=quietest, steps=steps)
+        yield findings.ROUNDING.withhold(sigma, quietest, text, ("shape",))
     # How alike the levels' fractions of a DN are says nothing of wider steps.
     alike = (1.0 if step_dn > 1 else read.alike) * math.exp(-2 * (math.pi * rows.sigma_dn / step_dn) ** 2)
     # Rounding itself makes tails light: lighter ones than a normal distribution's are not taken for the noise's.
@@ -373,10 +328,7 @@ def _find_rounding(
             f"changes the variance of a pixel's noise by up to {ripple.variance / 2:.1%}, as its level lies between "
             f"two values, that of all by up to {width / 2:.1%}, and"
         )
-    text = (
-        f"the read noise is quiet ({sigma:.2g} DN): rounding to {steps} DN {changed} the mean by up to {shift:.2g} "
-        "DN; use a raw mode of more bits"
-    )
+    text = fill_sentence("findings.quiet", sigma=sigma, steps=steps, changed=changed, shift=shift)
     square, of_rows, of_sigma = ripple.variance**2, rows.relative_error, read.sigma_gauss_error_dn / max(sigma, 1e-12)
     off: dict[Quantity, tuple[float, float, float]] = {  # by so much; what is too much, and what is in the error
         "shape": (_OF_RIPPLE * width + _OF_SQUARE * square, _MOST_ERROR, read.largest_error),
@@ -384,12 +336,12 @@ def _find_rounding(
         "row noise": (2 * math.pi * shift / step_dn, _MOST_IN_ROWS if read.converged else of_rows, of_rows),
         "colour bias": (shift, math.inf, min(filter(math.isfinite, bias.standard_error_dn), default=math.inf)),
     }
-    of_width = () if width <= _MOST_RIPPLE else READ if math.isfinite(width) else (*READ, "row noise")
+    of_width = () if width <= _MOST_RIPPLE else findings.READ if math.isfinite(width) else (*findings.READ, "row noise")
     if lost := tuple(figure for figure, (share, most, _) in off.items() if share > most or figure in of_width):
-        yield ROUNDING.withhold(width, _MOST_RIPPLE, text, lost)
+        yield findings.ROUNDING.withhold(width, _MOST_RIPPLE, text, lost)
     for figure, (share, _, least) in off.items():
         if figure not in lost and share > least:
-            yield ROUNDING.find(share, least, text, "wider", (figure,), share)
+            yield findings.ROUNDING.find(share, least, text, "wider", (figure,), share)
 
 
 # --- flats ------------------------------------------------------------------------------------------------------------
@@ -418,12 +370,8 @@ def find_saturation(flats: FlatPairs) -> Iterator[Finding]:
     levels, overs = zip(*piles, strict=True)
     over = max(overs)
     where = f"{levels[0]} DN" if len(set(levels)) == 1 else f"{min(levels)} to {max(levels)} DN"
-    channels = "" if len(piles) == flats.channels else f" in {len(piles)} of {flats.channels} channels"
-    text = (
-        f"the flats saturate at {where}{channels}, below the recorded white level: values pile up there, {over:.0f} "
-        "times as many as at the values below, and with the noise goes K; leave out the flats that reach this value"
-    )
-    yield SATURATION.withhold(over, _PILED, text)
+    where += "" if len(piles) == flats.channels else f" in {len(piles)} of {flats.channels} channels"
+    yield findings.SATURATION.withhold(over, _PILED, fill_sentence("findings.saturation", where=where, over=over))
 
 
 def _find_pile(counts: Counts, limit_dn: float) -> tuple[int, float] | None:
@@ -459,11 +407,8 @@ def find_uneven_steps(flats: FlatPairs, transfer: PhotonTransfer) -> Iterator[Fi
         largest = max(largest, float(steps.max()))
     share, error = float(np.mean(added)) / transfer.gain_dn_per_e, transfer.gain_error / transfer.gain_dn_per_e
     if abs(share) > _OF_ERROR * error:
-        text = (
-            f"the flats' values step by up to {largest:.0f} DN, unevenly, as compression by a curve leaves them: "
-            f"rounding to these steps makes {share:+.1%} of K; use uncompressed raw"
-        )
-        yield from COARSE.judge(abs(share), _OF_ERROR * error, text, {"gain": (abs(share), _OF_ERROR * error)})
+        text = fill_sentence("findings.curve", largest=largest, share=share)
+        yield from findings.COARSE.judge(abs(share), _OF_ERROR * error, text, {"gain": (abs(share), _OF_ERROR * error)})
 
 
 def _find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
@@ -477,12 +422,9 @@ def _find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
         return
     smoothed = "the frames were smoothed or resampled, or the picture moved between the two of a pair"
     why = smoothed if correlation > 0 else "the frames were sharpened"
-    text = (
-        f"in the differences of flats, neighbours of one colour are correlated by {correlation:+.3f} (a raw file: 0): "
-        f"{why}; shoot on a tripod, with noise reduction and lens corrections off"
-    )
+    text = fill_sentence("findings.flats-correlated", correlation=correlation, why=why)
     off: dict[Quantity, tuple[float, float]] = {"gain": (_LOST_PER_CORRELATION * abs(correlation), 0.0)}
-    yield from FLATS_CORRELATED.judge(abs(correlation), threshold, text, off)
+    yield from findings.FLATS_CORRELATED.judge(abs(correlation), threshold, text, off)
 
 
 def _find_bent_line(transfer: PhotonTransfer) -> Iterator[Finding]:
@@ -506,13 +448,10 @@ def _find_bent_line(transfer: PhotonTransfer) -> Iterator[Finding]:
     share, error = max(tests, key=lambda test: test[0] / test[1])
     if not share > _SIGNIFICANT * error:
         return
-    text = (
-        f"the flats' noise does not follow one line over their light: medians over the frame give a K that is off by "
-        f"{slopes.mean() / gain - 1:+.1%}, and a line that bends by {bends.mean():+.1%} to where there is no light. "
-        "Edges that moved within a pair (a chart without a tripod), saturation by degrees, a filter or a sensor that "
-        "is not linear do this: shoot an even wall, from a tenth to a half of the range"
+    text = fill_sentence("findings.bent", off=slopes.mean() / gain - 1, bend=bends.mean())
+    yield from findings.NO_LINE.judge(
+        share / error, _SIGNIFICANT, text, {"gain": (max(test[0] for test in tests), 0.0)}
     )
-    yield from NO_LINE.judge(share / error, _SIGNIFICANT, text, {"gain": (max(test[0] for test in tests), 0.0)})
 
 
 def _fit_medians(

@@ -258,9 +258,7 @@ def find_floor(stack: BiasStack) -> int | None:
     with none below, but some broken pixels, where that leaves dozens. Noise that ends alike above is as narrow as that.
     """
     lowest, highest = (np.bincount(each[stack.squared_rows].ravel()) for each in (stack.lowest, stack.highest))
-    if _find_cut(highest[::-1]) is not None:
-        return None
-    return _find_cut(lowest)
+    return _find_cut(lowest) if _find_cut(highest[::-1]) is None else None
 
 
 def _find_cut(counts: Counts) -> int | None:

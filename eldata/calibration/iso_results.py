@@ -2,17 +2,20 @@
 
 A figure is declared once, where its ISO makes its record (:attr:`IsoCalibration.figures`); profile, tables, JSON, page
 and plots read that record. Each check (:mod:`eldata.calibration.checks`) leaves a finding for the figures that it
-touches: they are withheld, or given with a larger error. A remark touches none.
+touches: they are withheld, or given with a larger error. A remark touches none. What they say is in ``sentences.toml``.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 
+from eldata.base.fields import TextFile
 from eldata.base.tables import with_error
 from eldata.calibration.frames import FramesError
 from eldata.errors import ArgumentError, did_you_mean
@@ -32,6 +35,19 @@ if TYPE_CHECKING:
     from eldata.records import Sensor
 
 # --- findings ---------------------------------------------------------------------------------------------------------
+
+
+@cache
+def read_sentences() -> Mapping[str, Mapping[str, str]]:
+    """Read the sentences of each kind by name."""
+    return TextFile(Path(__file__).with_name("sentences.toml"), ArgumentError).toml().data
+
+
+def fill_sentence(kind: str, **words: object) -> str:
+    """Return a sentence by kind and name, such as ``remarks.drift``, with its words filled in."""
+    group, _, name = kind.partition(".")
+    return read_sentences()[group][name].format(**words)
+
 
 Quantity = Literal["gain", "shape", "read noise", "row noise", "colour bias"]
 """What a calibration measures at one ISO. Shape is that of the read noise with its scale: lambda and sigma_TL."""
@@ -535,11 +551,6 @@ class IsoCalibration(IsoGain):
         return self.find_figure("sigma_row_dn")
 
     @property
-    def sigma_column_dn(self) -> MeasuredFigure | None:
-        """Standard deviation of what columns have of their own [DN]; withheld with the row noise."""
-        return self.find_figure("sigma_column_dn")
-
-    @property
     def colour_bias(self) -> tuple[MeasuredFigure, ...] | None:
         """Colour bias by CFA channel [DN], section 3.2.1, figure 4; ``None`` if it is withheld."""
         if "colour bias" in self.withheld:
@@ -624,4 +635,4 @@ class FailedIso:
     @property
     def remark(self) -> str:
         """What the calibration says of it."""
-        return f"ISO {self.iso:g} was left out: {FramesError(self.problems)}"
+        return fill_sentence("remarks.failed-iso", iso=self.iso, problems=FramesError(self.problems))

@@ -15,7 +15,7 @@ import numpy as np
 
 from eldata.base.numbers import counted
 from eldata.calibration.flats import straight_line
-from eldata.calibration.iso_results import SCALES, STEP
+from eldata.calibration.iso_results import SCALES, STEP, fill_sentence
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.profile import GainMode, LogLogFit, modes_problem
 
@@ -175,10 +175,8 @@ def find_steps(isos: Sequence[IsoCalibration]) -> list[tuple[float, Finding]]:
             steps.append(_describe_step(before, after, change, off, threshold))
     noisy = [(record, noise) for record in known if (noise := record.sigma_gauss_dn) is not None and noise.value > 0]
     for (before, noise), (after, its_noise), off, threshold in _noise_steps(sorted(noisy, key=lambda n: _find_k(n[0]))):
-        change = (
-            f"the read noise goes from {noise.text} to {its_noise.text} DN, {math.expm1(off):+.0%} beside what K and "
-            "the ISOs around make likely"
-        )
+        words = {"before": noise.text, "after": its_noise.text, "off": math.expm1(off)}
+        change = fill_sentence("findings.noise-step", **words)
         steps.append(_describe_step(before, after, change, off, threshold))
     return sorted(steps, key=lambda step: step[0])
 
@@ -188,12 +186,7 @@ def _describe_step(
 ) -> tuple[float, Finding]:
     """Make the finding on a step between two neighbouring ISOs, after the upper ISO."""
     low, high = sorted((before.iso, after.iso))
-    text = (
-        f"between ISO {low:g} and {high:g} {change}, as where a camera switches its conversion gain or scales numbers; "
-        "one line through both sides makes the noise that is drawn from it more varied than the camera's: state the "
-        f"gain mode with --mode {high:g} (modes=[{high:g}]), or that there is none with --mode none (modes=[])"
-    )
-    return high, STEP.find(abs(off), threshold, text)
+    return high, STEP.find(abs(off), threshold, fill_sentence("findings.step", low=low, high=high, change=change))
 
 
 def _noise_steps(noisy: Sequence[_Noisy]) -> Iterator[tuple[_Noisy, _Noisy, float, float]]:
@@ -270,12 +263,8 @@ def fit_modes(
         complete = [record for record in part if record.sigma_tl_dn is not None and record.colour_bias_dn is not None]
         if len({_find_k(record) for record in complete}) < 2:
             which = f"from ISO {ends[place]:g} on" if place else f"below ISO {ends[1]:g}"
-            return (), (
-                f"the gain mode {which} has K, read noise and colour bias at fewer than two ISOs: no line can be fitted"
-            )
-    fitted = [_fit_mode(part, len(parts) > 1, remarks) for part in parts]
-    if starts:
-        fitted = [_extend_mode(lines, start, remarks) for lines, start in zip(fitted, (None, *starts), strict=True)]
+            return (), fill_sentence("no-profile.short-mode", which=which)
+    fitted = [_fit_mode(part, start, len(parts) > 1, remarks) for start, part in zip(ends, parts, strict=False)]
     limits = [end for lines in fitted for end in lines.mode.iso_range or ()]
     if limits != sorted(limits):  # K does not go with the ISO
         fitted = [replace(lines, mode=replace(lines.mode, iso_range=None)) for lines in fitted]
@@ -292,8 +281,11 @@ def whole_ranges(modes: Sequence[GainMode]) -> tuple[tuple[float, float], tuple[
     return (first.gain_range_dn_per_e[0], last.gain_range_dn_per_e[1]), isos
 
 
-def _fit_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: list[str]) -> FittedMode:
-    """Fit a gain mode: ranges of K and ISO, a line over K for each scale; add to the remarks."""
+def _fit_mode(part: Sequence[IsoCalibration], start: float, is_one_of_several: bool, remarks: list[str]) -> FittedMode:
+    """Fit a gain mode: ranges of K and ISO, a line over K for each scale; add to the remarks.
+
+    It begins where somebody states that it does (``start``), if that is below its first measured ISO.
+    """
     # Where the read noise is withheld, nothing is known. An extended ISO has the K of its neighbour, and by chance the
     # larger or the smaller one.
     ends = [record for record in part if record.sigma_tl_dn and record.sigma_gauss_dn] or part
@@ -302,27 +294,15 @@ def _fit_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: 
     where = f" from ISO {lowest:g} to {highest:g}" if is_one_of_several else ""
     fits = [_fit_scale(part, name, f"{label}{where}", remarks) for name, label in SCALES.items()]
     if all(record.sigma_row_dn is None for record in part):
-        if is_one_of_several:
-            remarks.append(f"sigma_row is withheld at ISO {lowest:g} to {highest:g}: that gain mode makes no row noise")
-        else:
-            remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
-    gains = _find_k(ends[0]), _find_k(ends[-1])
+        which = f"at ISO {lowest:g} to {highest:g}: that gain mode" if where else "wherever K is known: the profile"
+        remarks.append(fill_sentence("remarks.no-row-noise", where=which))
+    first, least = lowest, _find_k(ends[0])
+    if math.isfinite(start) and start != lowest:
+        first, least = start, least * start / lowest
+        remarks.append(fill_sentence("remarks.begins", lowest=lowest, highest=highest, start=start))
     tukey_lambda, gauss, row = (line for _, line in fits)
-    mode = GainMode(gains, tukey_lambda, gauss, row, (lowest, highest))
+    mode = GainMode((least, _find_k(ends[-1])), tukey_lambda, gauss, row, (first, highest))
     return FittedMode(mode, *(estimate for estimate, _ in fits))
-
-
-def _extend_mode(lines: FittedMode, start: float | None, remarks: list[str]) -> FittedMode:
-    """Return a mode that begins where somebody states that it does, below its first measured ISO."""
-    mode = lines.mode
-    if start is None or mode.iso_range is None or start == mode.iso_range[0]:
-        return lines
-    (lowest, highest), (least, most) = mode.iso_range, mode.gain_range_dn_per_e
-    remarks.append(
-        f"the gain mode of ISO {lowest:g} to {highest:g} is stated to begin at ISO {start:g}: its lines go on to there"
-    )
-    wider = replace(mode, gain_range_dn_per_e=(least * start / lowest, most), iso_range=(start, highest))
-    return replace(lines, mode=wider)
 
 
 def _fit_scale(
@@ -334,14 +314,11 @@ def _fit_scale(
     usable = [(gain, scale) for gain, scale in known if 0 < scale.value < math.inf]
     if lost := len(known) - len(usable):
         what = f"{counted(lost, 'ISO')}, which its fit leaves out" if usable else "every ISO; the profile has none"
-        remarks.append(f"{label} was 0 at {what}")
+        remarks.append(fill_sentence("remarks.zero", label=label, where=what))
     if not usable:
         return None, LogLogFit(0.0, math.log(_NO_NOISE_DN), 0.0)
     if len({gain.value for gain, _ in usable}) < 3:
-        remarks.append(
-            f"{label} is known at {counted(len(usable), 'ISO')}, and a line over K with its spread needs three: the "
-            "profile gives each as it was measured (row='measured'), and none in between"
-        )
+        remarks.append(fill_sentence("remarks.no-line", label=label, isos=counted(len(usable), "ISO")))
         return None, None
     values, errors = (
         [[read(figure) for figure in figures] for figures in zip(*usable, strict=True)]

@@ -14,31 +14,22 @@ import numpy as np
 from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
+from eldata.calibration import checks
 from eldata.calibration.bias_sums import BiasPairs, BiasSums, colour_bias, power_spectrum, row_noise
-from eldata.calibration.checks import (
-    bias_findings,
-    code_step,
-    find_clipping,
-    find_saturation,
-    find_uneven_steps,
-    flat_findings,
-    mean_step,
-    read_noise_findings,
-    read_noise_in_steps,
-    take_step,
-)
-from eldata.calibration.defects import (
-    ADVISED_FRAMES,
-    MINIMUM_FRAMES,
-    BiasStack,
-    FixedPattern,
-    fixed_pattern,
-    too_few_frames,
-)
+from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, fixed_pattern, too_few_frames
 from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
 from eldata.calibration.frames import FrameReader, FramesError, measure_frame, measure_pair, unequal_pair
 from eldata.calibration.held_out import compared_piece, reproduction
-from eldata.calibration.iso_results import CLIPPED, NO_LINE, SHAPE, TRANSFER, IsoCalibration, IsoGain, accept_findings
+from eldata.calibration.iso_results import (
+    CLIPPED,
+    NO_LINE,
+    SHAPE,
+    TRANSFER,
+    IsoCalibration,
+    IsoGain,
+    accept_findings,
+    fill_sentence,
+)
 from eldata.calibration.residuals import probability_plot, read_noise, single_frame_plot
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
@@ -48,6 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from eldata.calibration.bias_sums import BiasStatistics, ResidualHistogram
+    from eldata.calibration.defects import FixedPattern
     from eldata.calibration.frames import IsoFrames
     from eldata.calibration.iso_results import Finding
     from eldata.calibration.sums import Mosaic
@@ -159,13 +151,14 @@ def _measure_all(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     work = (partial(_estimate, sums, pairs, sensor), partial(_measure_flats, reader, chosen, fixed))
     (estimates, residuals, statistics), of_flats = in_threads(methodcaller("__call__"), work, reader.workers.jobs)
     bias, rows, read = estimates["bias"], estimates["rows"], estimates["read"]
-    step = math.gcd(code_step(statistics.codes), of_flats.step_dn)
+    step = math.gcd(checks.code_step(statistics.codes), of_flats.step_dn)
     if read is None:
-        findings: tuple[Finding, ...] = (find_clipping(sums),)
+        findings: tuple[Finding, ...] = (checks.find_clipping(sums),)
     else:
-        step_dn = float(step) if step > 1 else mean_step(statistics.codes)
-        of_fit = read_noise_findings(read, bias, rows.rows, step_dn)
-        findings = accept_findings((*of_fit, *bias_findings(statistics, bias, rows, read, step_dn)), chosen.accept)
+        step_dn = float(step) if step > 1 else checks.mean_step(statistics.codes)
+        of_fit = checks.read_noise_findings(read, bias, rows.rows, step_dn)
+        of_bias = checks.bias_findings(statistics, bias, rows, read, step_dn)
+        findings = accept_findings((*of_fit, *of_bias), chosen.accept)
     of_gain = {each.name: getattr(of_flats, each.name) for each in fields(of_flats)}
     of_gain |= {"findings": (*findings, *of_flats.findings), "step_dn": step}
     record = IsoCalibration(
@@ -174,10 +167,10 @@ def _measure_all(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
         pattern=fixed.summary,
         spectrum_dn2=spectrum,
         single_frame=single,
-        stepped=None if residuals is None else read_noise_in_steps(residuals, step),
+        stepped=None if residuals is None else checks.read_noise_in_steps(residuals, step),
         **estimates,
     )
-    parameters = take_step(record).parameters
+    parameters = checks.take_step(record).parameters
     if held_out is not None and parameters is not None:
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
@@ -204,7 +197,7 @@ def _estimate(
 def _measure_gain(reader: FrameReader, chosen: IsoFrames, *lost: Finding) -> IsoGain:
     """Measure K from flats alone."""
     record = _measure_flats(reader, chosen, None)
-    alone = () if lost else ("there are no bias frames, so K is all that is known",)
+    alone = () if lost else (fill_sentence("remarks.k-alone"),)
     remarks = (*reader.remarks, *alone, *record.remarks, *transfer_remarks(record))
     return replace(record, remarks=remarks, findings=(*lost, *record.findings))
 
@@ -213,8 +206,6 @@ def _first_pass(
     reader: FrameReader, estimated: Sequence[FrameRecord], held_out: Sequence[FrameRecord]
 ) -> tuple[FixedPattern, Sequence[FrameRecord], Mosaic | None]:
     """Return the fixed pattern, the frames that it is of, and the piece of the frame that is kept out."""
-    if len(estimated) < MINIMUM_FRAMES:
-        raise too_few_frames(len(estimated))
     stack, kept, used = None, None, []
     for record, frame in reader.read((*estimated, *held_out)):
         reader.figures[record] = measure_frame(frame.mosaic)
@@ -265,18 +256,19 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
     remarks += flat_remarks(chosen)
     if flats is None or not flats.frames:
         return make_record(TRANSFER.withhold(math.nan, math.nan, "no pair of flats is usable"))
-    step = code_step(flats.counts[:, : math.ceil(flats.limit_dn)])
+    step = checks.code_step(flats.counts[:, : math.ceil(flats.limit_dn)])
+    of_saturation = tuple(checks.find_saturation(flats))
     try:
         transfer = photon_transfer(flats)
     except DatasetError as error:
         text = f"{error}; pairs used: {', '.join(used)}"
-        return make_record(*find_saturation(flats), TRANSFER.withhold(math.nan, math.nan, text))
-    of_line, spatial = flat_findings(transfer), None
+        return make_record(*of_saturation, TRANSFER.withhold(math.nan, math.nan, text))
+    of_line, spatial = checks.flat_findings(transfer), None
     if all(finding.check != NO_LINE.name for finding in of_line):  # of a scene, a frame's variance is the scene's own
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(flats)
-    of_values = (*find_saturation(flats), *find_uneven_steps(flats, transfer))
-    findings = accept_findings((*of_values, *of_line), chosen.accept)
+    of_steps = checks.find_uneven_steps(flats, transfer)
+    findings = accept_findings((*of_saturation, *of_steps, *of_line), chosen.accept)
     return make_record(*findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
 
 
@@ -310,56 +302,37 @@ def bias_remarks(record: IsoCalibration, chosen: IsoFrames, lossy: str | None) -
     rows, columns, pattern, compared = record.rows.rows, record.rows.columns, record.pattern, record.reproduction
     remarks, has_rows = [], "row noise" not in record.withheld
     if record.bias_frames < ADVISED_FRAMES - 1:
-        remarks.append(f"{record.bias_frames} bias frames were used; {ADVISED_FRAMES} or more are advised")
+        remarks.append(fill_sentence("remarks.few-bias", frames=record.bias_frames, advised=ADVISED_FRAMES))
     if chosen.bias_exposure_s is not None and chosen.bias_exposure_s > _LONGEST_BIAS_S:
-        remarks.append(
-            f"the bias frames were exposed for {float(chosen.bias_exposure_s):g} s, so dark current is in them; take "
-            "them at the camera's shortest exposure"
-        )
+        remarks.append(fill_sentence("remarks.long-bias", exposure_s=float(chosen.bias_exposure_s)))
     if lossy is not None:
-        remarks.append(f"the files have {lossy}, which changes noise: no figure here is the sensor's own")
+        remarks.append(fill_sentence("remarks.lossy", loss=lossy))
     if has_rows and rows.sigma_dn == 0:
-        remarks.append(f"no row noise was seen; {rows.sigma_error_dn:.2g} DN would just have been visible")
+        remarks.append(fill_sentence("remarks.no-rows", error=rows.sigma_error_dn))
     elif has_rows and rows.shapiro_p < 1e-3 and abs(rows.excess_kurtosis) > 0.5:
-        remarks.append(
-            f"the row noise is not normal (Shapiro-Wilk p = {rows.shapiro_p:.1g}, excess kurtosis "
-            f"{rows.excess_kurtosis:.1f}); the model takes it for normal"
-        )
+        remarks.append(fill_sentence("remarks.rows-not-normal", p=rows.shapiro_p, kurtosis=rows.excess_kurtosis))
     of_columns = columns.variance_dn2 > 5 * columns.variance_error_dn2 and columns.sigma_dn > 0.3 * rows.sigma_dn
     if has_rows and of_columns:
-        remarks.append(
-            f"columns have noise of their own, {columns.sigma_dn:.2g} DN, which the model leaves out and the read "
-            "noise contains"
-        )
+        remarks.append(fill_sentence("remarks.columns", sigma=columns.sigma_dn))
     error = max(record.bias.standard_error_dn)
     if record.bias.drifts and error > _DRIFT_DN:
-        remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {error:.2g} DN")
+        remarks.append(fill_sentence("remarks.drift", error=error))
     of_defects = max(record.bias.of_defects_dn, key=abs)
     if abs(of_defects) > max(2 * error, _OF_DEFECTS_DN) and "colour bias" not in record.withheld:
-        remarks.append(
-            f"the colour bias is the mean of all pixels, as in the paper: {pattern.defects} defects make "
-            f"{of_defects:.2g} DN of it"
-        )
+        remarks.append(fill_sentence("remarks.defects", defects=pattern.defects, bias=of_defects))
     if pattern.defects > 0.01 * pattern.pixels:
-        remarks.append(
-            f"{pattern.defects / pattern.pixels:.1%} of the pixels were left out: {pattern.stuck / pattern.pixels:.1%} "
-            f"never change, {pattern.off_level / pattern.pixels:.1%} are off the level of those around them"
-        )
+        shares = {name: getattr(pattern, name) / pattern.pixels for name in ("defects", "stuck", "off_level")}
+        remarks.append(fill_sentence("remarks.left-out", **shares))
     if compared is not None and compared.histogram_distance > max(4 * compared.histogram_distance_by_chance, 0.02):
-        remarks.append(
-            f"a bias frame kept out differs from simulated ones by {compared.histogram_distance:.1%} of its histogram "
-            f"({compared.histogram_distance_by_chance:.1%} by chance)"
-        )
+        distances = {"distance": compared.histogram_distance, "chance": compared.histogram_distance_by_chance}
+        remarks.append(fill_sentence("remarks.unlike-model", **distances))
     return tuple(remarks)
 
 
 def no_pairs(chosen: IsoFrames) -> str:
     """Return the remark on an ISO whose K is not known."""
     single = f"{counted(len(chosen.single), 'flat frame')} and no two of one exposure"
-    return (
-        f"{single if chosen.single else 'no flat frames'}, so K is not known: this ISO does not take part in the fits; "
-        "take flats in pairs of equal exposure"
-    )
+    return fill_sentence("remarks.no-pairs", flats=single if chosen.single else "no flat frames")
 
 
 def flat_remarks(chosen: IsoFrames) -> tuple[str, ...]:
@@ -368,10 +341,10 @@ def flat_remarks(chosen: IsoFrames) -> tuple[str, ...]:
     if chosen.single:
         names = ", ".join(record.path for record in chosen.single[:3])
         more = f" and {len(chosen.single) - 3} more" if len(chosen.single) > 3 else ""
-        remarks.append(f"flats without a partner of the same exposure were left out: {names}{more}")
+        remarks.append(fill_sentence("remarks.single-flats", names=names + more))
     if len(chosen.pairs) < _LEAST_PAIRS:
         remarks.append(
-            f"K comes from {counted(len(chosen.pairs), 'pair')} of flats; {_LEAST_PAIRS} levels or more are advised"
+            fill_sentence("remarks.few-pairs", pairs=counted(len(chosen.pairs), "pair"), advised=_LEAST_PAIRS)
         )
     return tuple(remarks)
 
@@ -382,17 +355,15 @@ def transfer_remarks(record: IsoGain) -> tuple[str, ...]:
     remarks = []
     if gain is not None and stated is not None:
         if gain.is_stated:
-            remarks.append(f"K is stated, not measured: {stated:g} DN/e-")
+            remarks.append(fill_sentence("remarks.k-stated", stated=stated))
         elif abs(stated - gain.value) > _DISAGREEMENT * gain.error:
-            remarks.append(f"K is measured here, and the stated {stated:g} DN/e- does not count")
+            remarks.append(fill_sentence("remarks.k-measured", stated=stated))
     if transfer is None:
         return tuple(remarks)
     if transfer.left_out > 0.5:
-        remarks.append(
-            f"{transfer.left_out:.0%} of the flats' area is saturated or clipped and was left out; expose less"
-        )
+        remarks.append(fill_sentence("remarks.too-bright", share=transfer.left_out))
     brightest = max(float(line.signal_dn.max()) for line in transfer.channels)
     share = brightest / (sensor.white_level_dn - float(np.mean(sensor.black_level_dn)))
     if share < 0.25:
-        remarks.append(f"the brightest usable flat reaches {share:.0%} of the range; some nine tenths are better")
+        remarks.append(fill_sentence("remarks.too-dark", share=share))
     return tuple(remarks)

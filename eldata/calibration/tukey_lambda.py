@@ -29,12 +29,10 @@ NEARLY_NORMAL = 0.14
 NOTHING: Nodes = (np.zeros(1), np.ones(1))
 """A discrete distribution, as nodes and weights: of what is always 0."""
 
-_HERMITE = np.polynomial.hermite_e.hermegauss(15)
 _LEGENDRE = np.polynomial.legendre.leggauss(4)
 _TABLE = np.linspace(0.0, 9.0, 1201)  # arsinh(x / standard deviation): to 4000 standard deviations
 _SIZE = 1 << 14  # cells of the distribution of the other frames' share
 _CELLS = 16  # of it, per standard deviation of one frame's share
-_MOST_FRAMES = 500  # with more, that share counts as normal
 _LEAST_SIGMA_STEPS = 0.1  # below, all is lost in rounding
 _MANY_STEPS = 5  # above, a ripple is below one in a million
 
@@ -174,8 +172,6 @@ class ResidualModel:
         variance = self.own * (1 - self.own) * unit**2
         if variance <= 0:
             return NOTHING
-        if not 1 < self.frames <= _MOST_FRAMES:
-            return _HERMITE[0] * math.sqrt(variance), _HERMITE[1] / _HERMITE[1].sum()
         share = (1 - 1 / self.row_pixels) / self.frames
         width = share * unit / _CELLS
         edges = (np.arange(_SIZE // 2) + 0.5) * width

@@ -171,7 +171,7 @@ def line_spectrum_plot(record: IsoCalibration) -> Plot:
     rows, columns = record.rows.rows, record.rows.columns
     alt = (
         f"Power of row and column means over what pixel noise alone gives, at ISO {record.iso:g}: σ row "
-        f"{format_figure(record.sigma_row_dn)}, σ column {format_figure(record.sigma_column_dn)}."
+        f"{format_figure(record.sigma_row_dn)}, σ column {format_figure(record.find_figure('sigma_column_dn'))}."
     )
 
     def draw(axes: Axes, theme: Theme) -> None:

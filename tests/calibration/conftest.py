@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.calibration.trees import FrameTree, made_tree
+from tests.calibration.trees import FrameTree, make_tree
 from tests.shared import made_once
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="session")
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FrameTree]:
     """Three ISOs, six bias frames and three pairs of flats each. Not to be changed."""
-    with made_once(tmp_path_factory, "calibration-frames", made_tree) as folder:
+    with made_once(tmp_path_factory, "calibration-frames", make_tree) as folder:
         yield FrameTree(folder)
 
 

@@ -136,15 +136,15 @@ def test_an_allowance_widens_errors_in_quadrature(isos: tuple[IsoCalibration, ..
     )
     one = found.isos[1]
     transfer, read, rows = there(one.transfer), there(one.read), one.rows.rows
-    for given, value, error, allowance in (
+    for figure, value, error, allowance in (
         (one.gain, transfer.gain_dn_per_e, transfer.gain_error, 0.05 * transfer.gain_dn_per_e),
         (one.tukey_lambda, read.tukey_lambda, read.tukey_lambda_error, 0.05),
         (one.sigma_tl_dn, read.sigma_tl_dn, read.sigma_tl_error_dn, 0.05 * read.sigma_tl_dn),
         (one.sigma_gauss_dn, read.sigma_gauss_dn, read.sigma_gauss_error_dn, 0.05 * read.sigma_gauss_dn),
         (one.sigma_row_dn, rows.sigma_dn, rows.sigma_error_dn, 0.03 * rows.sigma_dn),
     ):
-        assert there(given).value == value
-        assert there(given).error == pytest.approx(math.hypot(error, allowance), rel=1e-12)
+        assert there(figure).value == value
+        assert there(figure).error == pytest.approx(math.hypot(error, allowance), rel=1e-12)
     for channel, error in zip(there(one.colour_bias), one.bias.standard_error_dn, strict=True):
         assert channel.error == pytest.approx(math.hypot(error, 0.03), rel=1e-12)
     assert as_json(found)["isos"][1]["gain_error"] == there(one.gain).error
@@ -165,20 +165,20 @@ def test_an_allowance_widens_errors_in_quadrature(isos: tuple[IsoCalibration, ..
 def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
     figure: Quantity, isos: tuple[IsoCalibration, ...]
 ) -> None:
-    seen = finding(figure, allowance=0.25, check="coarse values")
-    refused = with_findings(isos, seen)
+    coarse = finding(figure, allowance=0.25, check="coarse values")
+    refused = with_findings(isos, coarse)
     symbols, option = SYMBOLS[figure], '--accept "coarse values"'
     assert refused.isos[1].all_remarks == (
         f"{WHY} (withheld: {symbols}; to have it all the same, with a larger error: {option})",
     )
     assert refused.accepted == refused.profile.accepted == ()
     assert "accepted" not in refused.profile.as_dict()
-    found = with_findings(isos, *accept_findings([seen], ["coarse values"]))
+    found = with_findings(isos, *accept_findings([coarse], ["coarse values"]))
     one, whole = found.isos[1], isos[1]
     assert one.withheld == frozenset()
     assert one.widened == {figure}
     assert one.all_remarks == (f"{WHY} (accepted, with a larger error: {symbols})",)
-    assert [(seen.effect, seen.allowance) for seen in one.findings] == [("wider", 0.25)]
+    assert [(accepted.effect, accepted.allowance) for accepted in one.findings] == [("wider", 0.25)]
     assert found.profile.rows == join_isos("TestCamera", isos).profile.rows
     assert whole.parameters == one.parameters
 
@@ -190,13 +190,13 @@ def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
 
 def test_what_is_off_by_all_of_itself_cannot_be_accepted() -> None:
     """Nor what a check knows no size of. A level that light has raised is another matter: it is still a level."""
-    for seen in (
+    for refused in (
         finding("row noise", allowance=1.0, check="correlated noise"),
         finding("read noise", allowance=0.0, check="coarse values"),
         finding("gain", allowance=0.1, check="photon transfer"),
     ):
-        assert accept_findings([seen], [seen.check]) == (seen,)
-        assert "--accept" not in seen.remark
+        assert accept_findings([refused], [refused.check]) == (refused,)
+        assert "--accept" not in refused.remark
     bias = finding("colour bias", allowance=7.0, check="light")
     (accepted,) = accept_findings([bias], ["light"])
     assert (accepted.effect, accepted.is_accepted, accepted.allowance) == ("wider", True, 7.0)

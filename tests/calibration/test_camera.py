@@ -256,15 +256,15 @@ def test_the_spread_of_the_bias_comes_back_by_sampling(tmp_path: Path) -> None:
     shift = SHARED_DN * generator.standard_normal((FRAMES, 1))
     shift = shift + OWN_DN * generator.standard_normal((FRAMES, len(camera.bias)))
     frames = [np.rint(body.fixed + body.noise() + one[camera.channel]).clip(0).astype(np.uint16) for one in shift]
-    given = np.array(camera.bias) + shift
+    biases_dn = np.array(camera.bias) + shift
     record = replace(calibrated_arrays(camera.sensor, frames, []), stated_gain_dn_per_e=camera.gain)
     join_isos("Simulated", [record]).profile.save(tmp_path / "p.json")
     profile = CameraProfile.load(tmp_path / "p.json")
     (row,) = profile.rows
     assert len(row.frame_bias_dn) == FRAMES - 1
     # Of each frame itself: the pattern of this specimen is in all frames alike.
-    of_pattern = np.array(row.frame_bias_dn).mean(axis=0) - given[:-1].mean(axis=0)
-    np.testing.assert_allclose(row.frame_bias_dn, given[:-1] + of_pattern, atol=0.3)
+    of_pattern = np.array(row.frame_bias_dn).mean(axis=0) - biases_dn[:-1].mean(axis=0)
+    np.testing.assert_allclose(row.frame_bias_dn, biases_dn[:-1] + of_pattern, atol=0.3)
     generator, line = np.random.default_rng(0), LogLogFit(0.5, 0.0, 0.1)
     profile = replace(profile, tukey_lambda_fit=line, gauss_fit=line, row_fit=line)  # of one ISO there are none
     drawn = np.array([profile.sample(generator, row="any").colour_bias_dn for _ in range(DRAWS)])

@@ -23,7 +23,7 @@ from eldata.manifest.table import load_records, save_records
 from eldata.raw import read_raw, write_dng
 from eldata.records import FrameRecord, Sensor
 from tests.calibration.simulation import BAYER, Body, Camera
-from tests.calibration.trees import calibrated_iso, made_tree, problems_of, relative, rewritten
+from tests.calibration.trees import calibrated_iso, make_tree, problems_of, relative, rewritten
 from tests.cases import in_one_test
 from tests.shared import there
 
@@ -284,7 +284,7 @@ def test_lossy_compression_is_remarked_on(tree: FrameTree, monkeypatch: pytest.M
 
 def test_a_border_is_left_out_and_named_once(tmp_path: Path) -> None:
     """13 columns at the left and 9 rows at the bottom: the figures are to the bit those of the frames without them."""
-    tree, inner = made_tree(tmp_path / "tree", isos=(1600,), size=(272, 400)), np.s_[:-9, 13:]
+    tree, inner = make_tree(tmp_path / "tree", isos=(1600,), size=(272, 400)), np.s_[:-9, 13:]
     expected = calibrate(tree.frames(), crop=inner)
     for value in (0, 512):
 

@@ -90,8 +90,8 @@ def test_a_profile_ends_where_the_read_noise_does(isos: list[IsoCalibration]) ->
     """Its K is known further up; before, lines through the lower ISOs were drawn from at ISO 12800, 91 % too low."""
     quiet = SHAPE_LOST.find(0.3, 0.15, "lost", "withheld", READ)
     for lost, ends in (((3200, 6400, 12800), 1600), ((200, 12800), 6400)):
-        seen = [replace(one, findings=(quiet,)) if one.iso in lost else one for one in isos]
-        profile = join_isos("Ends", seen, modes=()).profile
+        shortened = [replace(one, findings=(quiet,)) if one.iso in lost else one for one in isos]
+        profile = join_isos("Ends", shortened, modes=()).profile
         lowest = min(iso for iso in ISOS if iso not in lost)
         gains = [one.gain_dn_per_e for one in isos if one.iso in (lowest, ends)]
         assert (profile.iso_range, list(profile.gain_range_dn_per_e)) == ((lowest, ends), gains)
@@ -148,7 +148,7 @@ def test_the_published_table_of_the_a7s2() -> None:
     profile = CameraProfile.load("SonyA7S2-PMN")
     rows = [row for row in profile.rows if row.iso is not None and row.iso >= 100]
     points = [(row.gain_dn_per_e or 0.0, row.sigma_tl_dn or 0.0) for row in rows]
-    (step,) = find_steps([seen(row.iso or 0, row.gain_dn_per_e or 0, row.sigma_gauss_dn or 0) for row in rows])
+    (step,) = find_steps([iso_with(row.iso or 0, row.gain_dn_per_e or 0, row.sigma_gauss_dn or 0) for row in rows])
     assert step[0] == 2000
     assert "between ISO 1600 and 2000 the read noise goes from" in step[1].text
     for mode in profile.modes:
@@ -167,7 +167,7 @@ def test_the_published_table_of_the_a7s2() -> None:
 # --- steps over the ISOs ----------------------------------------------------------------------------------------------
 
 
-def seen(iso: float, gain: float, sigma: float, error: float = 0.002) -> IsoCalibration:
+def iso_with(iso: float, gain: float, sigma: float, error: float = 0.002) -> IsoCalibration:
     """What is looked at of an ISO; both figures have this relative error."""
     figures = {"gain": gain, "sigma_gauss_dn": sigma}
     known = {name: MeasuredFigure(name, name, value, error * value) for name, value in figures.items()}
@@ -195,7 +195,7 @@ def test_a_step_of_the_read_noise_is_found_where_it_is(factor: float, per_stop: 
                 math.hypot(1.0, iso / elbow) * (factor if iso >= start else 1) * math.exp(0.02 * generator.normal())
                 for iso in isos
             ]
-            found = [seen(iso, iso / 400, scale) for iso, scale in zip(isos, scales, strict=True)]
+            found = [iso_with(iso, iso / 400, scale) for iso, scale in zip(isos, scales, strict=True)]
             assert places(found) == [start], (elbow, start)
 
 
@@ -206,12 +206,12 @@ def test_what_is_no_step() -> None:
     for _ in range(300):
         elbow = math.exp(generator.uniform(math.log(30), math.log(20_000)))
         found = [
-            seen(iso, iso / 400, math.hypot(1.0, iso / elbow) * math.exp(0.03 * generator.normal())) for iso in isos
+            iso_with(iso, iso / 400, math.hypot(1.0, iso / elbow) * math.exp(0.03 * generator.normal())) for iso in isos
         ]
         assert places(found) == []
-    extended = [seen(100, 0.25, 1.0), seen(200, 0.5, 1.5), seen(400, 1.0, 2.4)]
+    extended = [iso_with(100, 0.25, 1.0), iso_with(200, 0.5, 1.5), iso_with(400, 1.0, 2.4)]
     assert places(extended) == []
-    assert places([seen(100, 0.25, 1.0)]) == []
+    assert places([iso_with(100, 0.25, 1.0)]) == []
 
 
 def test_a_step_of_k_over_the_iso_is_found() -> None:
@@ -219,8 +219,8 @@ def test_a_step_of_k_over_the_iso_is_found() -> None:
     for factor, expected in ((0.83, [640.0]), (0.94, []), (1.3, [640.0])):
         isos = [160.0, 320.0, 640.0, 1280.0]
         gains = [iso / 400 * (factor if iso >= 640 else 1) for iso in isos]
-        found = find_steps([seen(iso, gain, 2 * gain**0.5) for iso, gain in zip(isos, gains, strict=True)])
+        found = find_steps([iso_with(iso, gain, 2 * gain**0.5) for iso, gain in zip(isos, gains, strict=True)])
         assert [iso for iso, _ in found] == expected
     assert "K over the ISO changes by +30%" in found[0][1].text
-    noisy = [seen(iso, gain, 2.0, 0.05) for iso, gain in ((160, 0.4), (320, 0.9))]
+    noisy = [iso_with(iso, gain, 2.0, 0.05) for iso, gain in ((160, 0.4), (320, 0.9))]
     assert places(noisy) == [], "12 % of a K that is known to 5 %"

@@ -67,10 +67,10 @@ class FrameTree:
         return FrameTree(folder)
 
 
-def made_tree(folder: Path, **options: Any) -> FrameTree:
+def make_tree(folder: Path, **options: Any) -> FrameTree:
     """Three ISOs, six bias frames and three pairs of flats each, 256 x 384 pixels, unless told otherwise."""
-    given: dict[str, Any] = {"isos": ISOS, "bias_frames": 6, "flat_levels": 3, "size": SIZE, **options}
-    make_calibration_frames(folder, **given)
+    settings: dict[str, Any] = {"isos": ISOS, "bias_frames": 6, "flat_levels": 3, "size": SIZE, **options}
+    make_calibration_frames(folder, **settings)
     return FrameTree(folder)
 
 

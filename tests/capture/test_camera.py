@@ -84,8 +84,8 @@ def test_bulb_times_go_on_in_the_camera_s_steps() -> None:
 
 def test_listed_times_that_are_given_as_named() -> None:
     cam = camera(Shutter(("1/1000", "1/90", "0.25"), true_times="as-named"))
-    given = (Fraction(1, 1000), Fraction(1, 90), Fraction(1, 4))
-    assert [time.true_exact for time in cam.shutter.times] == [as_exact(seconds) for seconds in given]
+    times_s = (Fraction(1, 1000), Fraction(1, 90), Fraction(1, 4))
+    assert [time.true_exact for time in cam.shutter.times] == [as_exact(seconds) for seconds in times_s]
     # The root of their product, exactly: the faster.
     assert cam.round_to_nearest(Fraction(1, 300)) == cam.shutter.times[0]
     assert cam.round_to_nearest(Fraction(1, 299)) == cam.shutter.times[1]

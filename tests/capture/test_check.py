@@ -166,8 +166,8 @@ TRIED = [number for number, fault in enumerate(FAULTS) if not any(word in fault.
 def test_what_lies_above_its_limit_is_found(number: int) -> None:
     """In one kind of scene, in turn."""
     fault = FAULTS[number]
-    seen = replace(fault, kinds=(fault.kinds[number % len(fault.kinds)],))
-    ((_, verdict, names),) = verdicts(seen, 1)
+    in_one_kind = replace(fault, kinds=(fault.kinds[number % len(fault.kinds)],))
+    ((_, verdict, names),) = verdicts(in_one_kind, 1)
     assert ORDER.index(verdict) >= ORDER.index(fault.verdict), names
 
 
@@ -332,14 +332,14 @@ class Set:
         return bias, flat
 
 
-def made(folder: Path, seed: int = 4, isos: tuple[int, ...] = (1600,)) -> Manifest:
+def make_set(folder: Path, seed: int = 4, isos: tuple[int, ...] = (1600,)) -> Manifest:
     return make_calibration_frames(folder, isos=isos, bias_frames=6, flat_levels=3, size=SMALL, seed=seed)
 
 
 @pytest.fixture(scope="module")
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("frames")
-    made(folder)
+    make_set(folder)
     return folder
 
 
@@ -352,7 +352,7 @@ def frames(pristine: Path, tmp_path: Path) -> Set:
 @pytest.mark.study
 def test_nothing_is_found_on_clean_frames(tmp_path: Path) -> None:
     """Fixed pattern, hot pixels, shading and vignetting of the demo's camera included; five ISOs."""
-    manifest = made(tmp_path, seed=0, isos=(100, 400, 1600, 6400, 25600))
+    manifest = make_set(tmp_path, seed=0, isos=(100, 400, 1600, 6400, 25600))
     report = check(manifest, tmp_path / "data")
     assert [str(reason) for group in report.groups for reason in group.reasons] == []
     assert [group.verdict for group in report.groups] == ["keep"] * 10

@@ -39,7 +39,7 @@ def cells_of(mosaic: NDArray[np.uint16], camera: SimulatedCamera = ALPHA) -> Cel
     return reduce_to_cells(mosaic, camera.sensor, pack(mosaic, camera.sensor.cfa))
 
 
-def seen(light: NDArray[np.float32], seed: int, *, camera: SimulatedCamera = ALPHA, **settings: int) -> Cells:
+def cells_at(light: NDArray[np.float32], seed: int, *, camera: SimulatedCamera = ALPHA, **settings: int) -> Cells:
     return cells_of(photographed(light, seed, camera=camera, **settings), camera)
 
 
@@ -112,9 +112,9 @@ def test_drift_to_a_tenth_of_a_percent() -> None:
     off = []
     for scene, percent in zip(range(1, 11), (-5, -3, -2, -1, -0.5, 0.5, 1, 2, 3, 5), strict=True):
         camera = (ALPHA, BETA)[scene % 2]
-        first = seen(radiance(scene), 1, camera=camera)
+        first = cells_at(radiance(scene), 1, camera=camera)
         light = radiance(scene) * np.float32(1 + percent / 100)
-        second = seen(light, 2, camera=camera)
+        second = cells_at(light, 2, camera=camera)
         ratios = [one for one in measure_brightness(first, second) if one is not None]
         assert len(ratios) >= 3
         assert [one.value for one in ratios] == pytest.approx([1 + percent / 100] * len(ratios), abs=1e-3)
@@ -169,8 +169,8 @@ def test_the_ratio_is_within_its_standard_error() -> None:
         black_dn = camera.gain_dn_per_e(iso) * np.mean(camera.colour_bias_e)
         for index in range(5):
             light = radiance(1 + index % 4)
-            reference = seen(light, 100 + index, camera=camera)
-            fit = there(fit_ratio(reference, seen(light, index, iso=iso, ratio=ratio, camera=camera)))
+            reference = cells_at(light, 100 + index, camera=camera)
+            fit = there(fit_ratio(reference, cells_at(light, index, iso=iso, ratio=ratio, camera=camera)))
             off.append((fit.slope.value * ratio - 1) / (fit.slope.standard_error * ratio))
             of_black.append((fit.black.value - black_dn) / fit.black.standard_error)
             assert fit.match.value == pytest.approx(1, abs=max(0.001, 5 * fit.match.standard_error))
@@ -187,14 +187,14 @@ def test_what_moved_or_was_lit_otherwise_has_no_other_black(mishap: Mishap, adde
     light = picture(3, SIZE)
     shot = mishap(Shot(light, 1600, Fraction(1), Exposure()))
     mosaic = photographed(shot.radiance, 2, iso=1600, ratio=100) + np.uint16(added_dn)
-    reference = seen(light, 1)
+    reference = cells_at(light, 1)
     black = there(fit_ratio(reference, cells_of(mosaic), 100)).black
     value, error = (100 * one / reference.range_dn for one in (black.value, black.standard_error))
     assert (value > 0.01 + 5 * error) == bool(added_dn)
 
 
 def test_black_that_is_off_and_hot_pixels_do_not_bend_the_ratio() -> None:
-    reference = seen(radiance(1), 1)
+    reference = cells_at(radiance(1), 1)
     mosaic = photographed(radiance(1), 2, iso=1600, ratio=200) + np.uint16(12)
     generator = np.random.default_rng(3)
     hot = generator.random(mosaic.shape) < 3e-4
@@ -212,7 +212,7 @@ def test_black_that_is_clipped_has_no_ratio() -> None:
     sensor = Sensor("", "", ALPHA.sensor.cfa, (0.0,) * 4, 15871.0, *SIZE)
     cells = reduce_to_cells(clipped.astype(np.uint16), sensor, pack(clipped, sensor.cfa))
     assert cells.zero_share > 0.1
-    assert fit_ratio(seen(radiance(1), 1), cells) is None
+    assert fit_ratio(cells_at(radiance(1), 1), cells) is None
 
 
 # --- bias and flats -----------------------------------------------------------------------------------------------
@@ -220,7 +220,7 @@ def test_black_that_is_clipped_has_no_ratio() -> None:
 
 def test_patches_have_the_errors_that_they_state() -> None:
     dark = np.zeros((3, *SIZE), dtype=np.float32)
-    levels = [measure_patches(seen(dark, seed, iso=1600)) for seed in range(20)]
+    levels = [measure_patches(cells_at(dark, seed, iso=1600)) for seed in range(20)]
     stack = np.stack([level for level, _ in levels])
     stated = float(np.mean([error for _, error in levels]))
     assert stack.shape == (20, PATCHES, PATCHES)
@@ -231,7 +231,7 @@ def test_patches_have_the_errors_that_they_state() -> None:
 def test_unevenness_of_a_ramp() -> None:
     ramp = np.broadcast_to(np.linspace(0.2, 0.6, SIZE[1], dtype=np.float32), (3, *SIZE))
     # From the first to the last of 18 columns of blocks: 17/18 of 0.4, over the median 0.4.
-    assert measure_unevenness(seen(np.ascontiguousarray(ramp), 1)) == pytest.approx(17 / 18, abs=0.01)
+    assert measure_unevenness(cells_at(np.ascontiguousarray(ramp), 1)) == pytest.approx(17 / 18, abs=0.01)
 
 
 # --- verdicts -----------------------------------------------------------------------------------------------------

@@ -15,14 +15,12 @@ from capture.capture_errors import CaptureError, ImpossibleShotError
 from capture.plan import Plan, make_plan
 from capture.protocol import PAPER, RELEASED, CaptureProtocol
 from capture.shots import (
-    RATIO_TOLERANCE,
     choose_isos,
     format_minutes,
     plan_calibration,
     plan_shots,
     sum_duration_s,
 )
-from eldata.manifest import pair_checks
 from tests.capture.simulated import CAMERA, plan_of
 from tests.cases import in_one_test
 from tests.shared import there
@@ -107,10 +105,6 @@ def test_the_time_that_shots_take() -> None:
     assert plan.duration_s == pytest.approx(2 * exposures_s + 5 * (2 * turns - 2) + 2 * 32)
     texts = [format_minutes(seconds) for seconds in (40, 89.5, 91, 11000)]
     assert texts == ["40 s", "90 s", "2 min", "3 h 4 min"]
-
-
-def test_the_tolerance_is_that_of_verify() -> None:
-    assert RATIO_TOLERANCE == pair_checks.RATIO_TOLERANCE
 
 
 def test_true_isos_give_the_light() -> None:

@@ -52,14 +52,14 @@ def photograph(card: Path, camera: SimulatedCamera, scene: ScenePlan, start: dat
     """Take a scene's frames: what the shutter gives, and what the camera writes that it gave."""
     card.mkdir(parents=True, exist_ok=True)
     number = len(list(card.iterdir()))
-    seen = scene_radiance(int(scene.name.removeprefix("scene-")), *SIZE)
+    light = scene_radiance(int(scene.name.removeprefix("scene-")), *SIZE)
     camera = camera.with_size(*SIZE)
     for shot in scene.shots:
         number += 1
         start += timedelta(seconds=10)
         # More light through the same gain is a faster sensor.
         share = Fraction(shot.setting.true_s / scene.shots[0].setting.true_s) * told.speed(shot.iso) / shot.iso
-        mosaic = camera.photograph(seen, share, shot.iso, np.random.default_rng([number, start.hour]))
+        mosaic = camera.photograph(light, share, shot.iso, np.random.default_rng([number, start.hour]))
         exposure = Exposure(Fraction(shot.iso), shot.setting.nominal_s, scene.aperture)
         write_dng(card / f"DSC{number:05d}.dng", mosaic, camera.sensor, exposure, taken=start, compression="none")
 
@@ -162,8 +162,8 @@ def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path) -> None:
 def test_apertures_are_compared(tmp_path: Path) -> None:
     nights = Nights(tmp_path)
     plan = LRID.set_aperture("scene-1", Fraction(8))
-    given = ["8", "8", "8", "7.9", "8", "5.6", "8", "8", None, "8"]
-    known = [None if text is None else Fraction(text) for text in given]
+    texts = ["8", "8", "8", "7.9", "8", "5.6", "8", "8", None, "8"]
+    known = [None if text is None else Fraction(text) for text in texts]
     taken = [replace(press, f_number=f_number) for press, f_number in zip(whole_plan(plan), known, strict=True)]
     files = shoot(nights.folder / "card", taken)
     output = nights.add(plan, nights.folder / "card", options=(), code=1)  # to be confirmed

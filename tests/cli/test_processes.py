@@ -58,7 +58,7 @@ def test_scoring_verifying_and_capture_need_no_torch(tree: Tree, tmp_path: Path)
         )
         return result.returncode, result.stderr
 
-    files = ["--manifest", tree.manifest, "--root", tree.root]
+    files: list[str | Path] = ["--manifest", tree.manifest, "--root", tree.root]
     assert done("eldata", "verify", tree.manifest, "--root", tree.root, "--level", "full", "--jobs", "2") == (0, "")
     assert done("eldata", "evaluate", "--baseline", "input", *files, "--jobs", "2", "--html", "e.html")[0] == 0
     assert done("capture", "camera", "--example", "cam.json") == (0, "")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import eldata
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -435,7 +437,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the wheel and the source archive."""
     folder = tmp_path_factory.mktemp("built")
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-t", "sdist", "-d", str(folder)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
+    environment = os.environ | {"ELDATA_ADDRESS": "https://example.org/a/eldata"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     return folder
 
@@ -467,6 +470,19 @@ def test_the_wheel_holds_the_packages_and_the_manifests_and_nothing_else(wheel: 
     manifests = [*folder.glob("*.csv"), *folder.glob("*.json"), *(folder / "published").iterdir()]
     files |= {f"eldata/manifest/shipped/{path.relative_to(folder).as_posix()}" for path in manifests}
     assert {name for name in zipfile.ZipFile(wheel).namelist() if "dist-info" not in name} == files
+
+
+def test_links_of_the_readme_are_whole_on_a_package_index(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = [name for name in archive.namelist() if name.endswith(".dist-info/METADATA")]
+        text = archive.read(name).decode()
+    assert "\nProject-URL: Issues, https://example.org/a/eldata/issues\n" in text
+    links = re.findall(r"\]\(([^)]*)\)", text)
+    tag = f"v{eldata.__version__}"
+    assert f"https://example.org/a/eldata/raw/{tag}/docs/images/contact-sheet.jpg" in links
+    places = [link.removeprefix(f"https://example.org/a/eldata/blob/{tag}/") for link in links if "/blob/" in link]
+    assert len(places) == len(links) - 1
+    assert all((ROOT / place.partition("#")[0]).is_file() for place in places)
 
 
 def test_the_wheel_works_away_from_the_sources(wheel: Path, tmp_path: Path) -> None:

@@ -86,11 +86,21 @@ def test_a_workflow_is_well_formed(path: Path) -> None:
         assert set(job.get("needs", "").split()) <= set(workflow["jobs"])
     for step in (step for job in workflow["jobs"].values() for step in job["steps"]):
         assert ("run" in step) != ("uses" in step), step
-        assert re.fullmatch(r"[\w-]+/[\w-]+@[\w./-]+", step.get("uses", "a/b@v1"))
+        assert re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", step.get("uses", "a/b@" + "0" * 40))
+        assert "checkout" not in step.get("uses", "") or step["with"] == {"persist-credentials": False}
         # What others write (a title, a branch's name) would be run: it has to come through the environment.
         assert "${{" not in step.get("run", "")
         files = [word for word in step.get("run", "").split() if re.match(r"(tests|\.ci|manifests|docs)/", word)]
         assert [name for name in files if not (ROOT / name).exists()] == []
+
+
+def test_the_image_is_built_from_what_is_let_in_and_runs_as_a_user() -> None:
+    steps = [line.split() for line in (ROOT / "Dockerfile").read_text(encoding="utf-8").splitlines()]
+    assert len(steps) <= 20
+    assert [step[1] for step in steps if step[0] == "USER"] == ["eldata"]
+    let_in = re.findall(r"^!(.*)$", (ROOT / ".dockerignore").read_text(encoding="utf-8"), re.MULTILINE)
+    assert "pyproject.toml" in let_in
+    assert all((ROOT / name).exists() for name in let_in)
 
 
 def test_each_python_of_the_classifiers_is_tested() -> None:

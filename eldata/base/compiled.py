@@ -14,6 +14,7 @@ import os
 import threading
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numba
@@ -36,8 +37,10 @@ Result = TypeVar("Result")
 def kernel(function: Function) -> Function:
     """Compile ``function`` with exact IEEE arithmetic (no fast-math), without the GIL, cached on disk if possible."""
     try:
+        # Without a home, numba would make a folder called ~ where it is run.
+        os.environ.get("NUMBA_CACHE_DIR") or Path.home()
         return cast("Function", numba.njit(nogil=True, cache=True, error_model="numpy")(function))
-    except RuntimeError:  # numba found no folder to keep it in
+    except RuntimeError:  # no home, or numba found no folder to keep it in
         _report_missing_cache()
         return cast("Function", numba.njit(nogil=True, error_model="numpy")(function))
 

@@ -395,5 +395,6 @@ def _explain(error: BaseException, arguments: Arguments) -> tuple[int, str]:
             return CLOSED_PIPE, ""
         return UNUSABLE, f"the system refused a step of this: {error.strerror}; --debug shows which"
     if isinstance(error, ImportError):
-        return UNUSABLE, f"a library does not load ({error}): install eldata again, in a fresh environment"
+        advice = "pip install torch" if error.name == "torch" else "install eldata again, in a fresh environment"
+        return UNUSABLE, f"a library does not load ({error}): {advice}"
     return UNUSABLE, f"unexpected {type(error).__name__}: {error}; --debug shows where"

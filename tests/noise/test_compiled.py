@@ -293,7 +293,7 @@ def test_a_dataset_is_made_with_its_engine_compiled(monkeypatch: pytest.MonkeyPa
     _kernels.prepare.cache_clear()
     source = Arrays(np.full((1, 4, 32, 32), 0.25, np.float32), range_dn=15871)
     pairs = SyntheticPairs(source, "SonyA7S2", crop=8)
-    assert [call[2].components for call in calls] == [sum(_kernels.BITS.values())]
+    assert [call[2] for call in calls] == [sum(_kernels.BITS.values())]
     assert pairs[0] is not None
     first, item = ([numba.typeof(value) for value in call] for call in calls)  # type: ignore[no-untyped-call]
     assert first == item

@@ -218,13 +218,9 @@ def _add_spread(size: int, mean: NDArray[np.float32], normal: NDArray[np.float32
 
 @helper
 def _compose_noisy(
-    size: int,
-    value: NDArray[np.float32],
-    gain: Any,
-    sigma: Any,
-    noise: NDArray[np.float32],
+    size: int, value: NDArray[np.float32], gain: Any, sigma: Any, noise: NDArray[np.float32],
     offset: NDArray[np.float32],
-) -> None:
+) -> None:  # fmt: skip
     """Turn events into DN and add the read noise and the offset."""
     for j in range(size):
         value[j] = (value[j] * gain + sigma * noise[j]) + offset[j]
@@ -267,16 +263,9 @@ def _normalise(
 
 @helper
 def _lay_offset(
-    offset: NDArray[np.float32],
-    bias: Any,
-    sigma_row: Any,
-    table: NDArray[np.int64],
-    period: int,
-    row: int,
-    start: int,
-    first: Any,
-    second: Any,
-) -> None:
+    offset: NDArray[np.float32], bias: Any, sigma_row: Any, table: NDArray[np.int64], period: int, row: int,
+    start: int, first: Any, second: Any,
+) -> None:  # fmt: skip
     """Write colour bias and row noise of a part of a row, from column ``start`` on, DN; by a stream's two keys."""
     sub, width = table.shape[0], offset.size
     for x in range(sub):
@@ -295,30 +284,12 @@ def _lay_offset(
 
 @kernel
 def add_noise(
-    clean: NDArray[np.float32],
-    out: NDArray[np.float32],
-    components: int,
-    converts: bool,
-    figures: NDArray[np.void],
-    power: NDArray[np.float32],
-    dark: NDArray[np.float32],
-    coarse_table: NDArray[np.uint64],
-    fine_table: NDArray[np.uint64],
-    row_table: NDArray[np.int64],
-    period: int,
-    keys: NDArray[np.uint64],
-    places: NDArray[np.uint64],
-    mark: NDArray[np.uint8],
-    entries: NDArray[np.uint64],
-    integers: NDArray[np.uint32],
-    floats: NDArray[np.float32],
-    channels: int,
-    columns: int,
-    first: int,
-    last: int,
-    first_row: int,
-    last_row: int,
-) -> None:
+    clean: NDArray[np.float32], out: NDArray[np.float32], components: int, converts: bool, figures: NDArray[np.void],
+    power: NDArray[np.float32], dark: NDArray[np.float32], coarse_table: NDArray[np.uint64],
+    fine_table: NDArray[np.uint64], row_table: NDArray[np.int64], period: int, keys: NDArray[np.uint64],
+    places: NDArray[np.uint64], mark: NDArray[np.uint8], entries: NDArray[np.uint64], integers: NDArray[np.uint32],
+    floats: NDArray[np.float32], channels: int, columns: int, first: int, last: int, first_row: int, last_row: int,
+) -> None:  # fmt: skip
     """Fill rows ``first_row`` to ``last_row`` of the planes ``first`` to ``last``: all images' channels, one by one.
 
     One call for many small images: a call from Python costs as much as the noise of a thousand pixels.
@@ -402,12 +373,9 @@ def add_noise(
 
 @kernel
 def fill_line(
-    slope: NDArray[np.float32],
-    offset: NDArray[np.float32],
-    iso: np.float32,
-    levels: NDArray[np.float32],
+    slope: NDArray[np.float32], offset: NDArray[np.float32], iso: np.float32, levels: NDArray[np.float32],
     out: NDArray[np.float32],
-) -> None:
+) -> None:  # fmt: skip
     """Write ``slope * iso + offset + level``, a dark shading; ``levels`` (period, W) are of one period of the CFA."""
     for y in range(out.shape[0]):
         k, b, level, row = slope[y], offset[y], levels[y % levels.shape[0]], out[y]

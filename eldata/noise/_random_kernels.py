@@ -202,14 +202,9 @@ def _ln(x: Any) -> Any:
 
 @helper
 def tukey_lambda_draws(
-    size: int,
-    high: NDArray[np.uint32],
-    low: NDArray[np.uint32],
-    shape: Any,
-    power: NDArray[np.float32],
-    tail: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
+    size: int, high: NDArray[np.uint32], low: NDArray[np.uint32], shape: Any, power: NDArray[np.float32],
+    tail: NDArray[np.float32], out: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Write the Tukey-lambda draw of each word: the quantile of v = its low 63 bits, or the mirrored one.
 
     With t = ln(v / (1 - v)), Q(v) = (v^l - (1 - v)^l) / l = (1 - v)^l (exp(l t) - 1) / l, which cancels nowhere.
@@ -299,13 +294,9 @@ def split_means(size: int, mean: NDArray[np.float32], digits: NDArray[np.uint32]
 
 @helper
 def find_columns(
-    size: int,
-    high: NDArray[np.uint32],
-    low: NDArray[np.uint32],
-    digits: NDArray[np.uint32],
-    coarse: NDArray[np.uint32],
-    fine: NDArray[np.uint32],
-) -> None:
+    size: int, high: NDArray[np.uint32], low: NDArray[np.uint32], digits: NDArray[np.uint32],
+    coarse: NDArray[np.uint32], fine: NDArray[np.uint32],
+) -> None:  # fmt: skip
     """Write the index of each pixel's column in the coarse and in the fine tables."""
     for j in range(size):
         index = _U4(digits[j] >> _FINE_COUNT_BITS)
@@ -320,14 +311,9 @@ def find_columns(
 
 @helper
 def fetch(
-    size: int,
-    coarse: NDArray[np.uint32],
-    fine: NDArray[np.uint32],
-    coarse_table: NDArray[np.uint64],
-    fine_table: NDArray[np.uint64],
-    coarse_entry: NDArray[np.uint64],
-    fine_entry: NDArray[np.uint64],
-) -> None:
+    size: int, coarse: NDArray[np.uint32], fine: NDArray[np.uint32], coarse_table: NDArray[np.uint64],
+    fine_table: NDArray[np.uint64], coarse_entry: NDArray[np.uint64], fine_entry: NDArray[np.uint64],
+) -> None:  # fmt: skip
     """Look up each pixel's entries in both tables: only this is not vector code."""
     for j in range(size):
         coarse_entry[j] = coarse_table[coarse[j]]
@@ -336,14 +322,9 @@ def fetch(
 
 @helper
 def choose(
-    size: int,
-    high: NDArray[np.uint32],
-    low: NDArray[np.uint32],
-    digits: NDArray[np.uint32],
-    coarse_entry: NDArray[np.uint64],
-    fine_entry: NDArray[np.uint64],
-    out: NDArray[np.float32],
-) -> None:
+    size: int, high: NDArray[np.uint32], low: NDArray[np.uint32], digits: NDArray[np.uint32],
+    coarse_entry: NDArray[np.uint64], fine_entry: NDArray[np.uint64], out: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Write each pixel's number of events, the sum of the two values that its entries give."""
     for j in range(size):
         index = _U4(digits[j] >> _FINE_COUNT_BITS)
@@ -367,13 +348,9 @@ def mark_rest(size: int, number: NDArray[np.uint32], rest: NDArray[np.float32], 
 
 @helper
 def add_rest(
-    size: int,
-    marks: NDArray[np.uint8],
-    marks_of_8: NDArray[np.uint64],
-    number: NDArray[np.uint32],
-    rest: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
+    size: int, marks: NDArray[np.uint8], marks_of_8: NDArray[np.uint64], number: NDArray[np.uint32],
+    rest: NDArray[np.float32], out: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Add the rest's events at the marked pixels: as many as there are k >= 1 with u < P(at least k)."""
     for block in range((size + 7) // 8):
         if marks_of_8[block] == _U8(0):

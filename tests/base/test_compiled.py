@@ -18,6 +18,7 @@ COUNT = """
 import json, numpy as np
 from eldata.metrics import _kernels as k
 image = np.zeros((9, 9), np.float32)
+print(flush=True), input()
 k.squared_error(image, image), k.products(image, image, 0.0, 1.0)
 stats = k.squared_error.stats, k.products.stats
 print(json.dumps([sum(sum(counts[index].values()) for counts in stats) for index in (1, 2)]))
@@ -41,7 +42,13 @@ def test_of_processes_that_begin_together_one_compiles(tmp_path: Path, monkeypat
     """Two kernels, three processes, and an empty cache: compiled twice, loaded four times."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     command = [sys.executable, "-c", COUNT]
-    processes = [subprocess.Popen(command, stdout=subprocess.PIPE) for _ in range(3)]
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    processes: list[Any] = [subprocess.Popen(command, **pipes) for _ in range(3)]
+    for process in processes:
+        process.stdout.readline()  # it has imported what it needs
+    for process in processes:
+        process.stdin.write(b"\n")
+        process.stdin.flush()
     counts = [json.loads(process.communicate()[0]) for process in processes]
     hits, misses = map(sum, zip(*counts, strict=True))
     assert (hits, misses) == (4, 2)
@@ -49,6 +56,6 @@ def test_of_processes_that_begin_together_one_compiles(tmp_path: Path, monkeypat
 
 def test_python_that_calls_a_helper_runs_it_as_it_stands() -> None:
     """It has no entry for Python, before and after a kernel is compiled with it."""
-    half = compiled.helper(lambda x: x / 2)
-    kernel: Any = compiled._compiler()(lambda x: half(x) + 1)
+    plain: list[Any] = [lambda x: x / 2, lambda x: half(x) + 1]
+    half, kernel = compiled.helper(plain[0]), compiled._compiler()(plain[1])
     assert (half(3.0), kernel(3.0), half(3.0)) == (1.5, 2.5, 1.5)

@@ -56,6 +56,6 @@ def test_of_processes_that_begin_together_one_compiles(tmp_path: Path, monkeypat
 
 def test_python_that_calls_a_helper_runs_it_as_it_stands() -> None:
     """It has no entry for Python, before and after a kernel is compiled with it."""
-    plain: list[Any] = [lambda x: x / 2, lambda x: half(x) + 1]
-    half, kernel = compiled.helper(plain[0]), compiled._compiler()(plain[1])
+    half: Any = compiled.helper(lambda x: x / 2)
+    kernel = compiled._compiler()(lambda x: half(x) + 1)
     assert (half(3.0), kernel(3.0), half(3.0)) == (1.5, 2.5, 1.5)

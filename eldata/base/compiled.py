@@ -1,9 +1,9 @@
 """How this package compiles its kernels, runs them in threads, and uses memory again.
 
-Kernels release the GIL, are compiled on first use for the dtypes that they are given, and are kept on disk, where there
-is a folder that can be written. They are all serial: parallel work is cut into fixed pieces that run on plain threads
-(:func:`in_threads`). So the result does not depend on the number of threads, and numba's own thread pool, which does
-not survive a fork, is never started.
+Kernels release the GIL, are compiled on first use for the dtypes that they are given, helpers within them, and are kept
+on disk, where there is a folder that can be written. They are all serial: parallel work is cut into fixed pieces that
+run on plain threads (:func:`in_threads`). So the result does not depend on the number of threads, and numba's own
+thread pool, which does not survive a fork, is never started.
 """
 
 from __future__ import annotations
@@ -12,14 +12,18 @@ import logging
 import math
 import os
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor, wait
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic
+
+from eldata.base.files import hold_lock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -27,22 +31,55 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LOG = logging.getLogger(__name__)
-_REPORTED = "ELDATA_MISSING_CACHE_REPORTED"  # processes inherit it
+_REPORTED = "ELDATA_MISSING_CACHE_REPORTED"  # processes inherit it, and the next
+_COMPILED_REPORTED = "ELDATA_COMPILATION_REPORTED"
+_SPENT_S: list[float] = []  # by this process on what it compiled
 
 Function = TypeVar("Function", bound="Callable[..., object]")
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
+_njit: Any = numba.njit  # whose types lack an option
+_compiler = partial(_njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True)  # C code calls none
+
 
 def kernel(function: Function) -> Function:
-    """Compile ``function`` with exact IEEE arithmetic (no fast-math), without the GIL, cached on disk if possible."""
+    """Compile ``function`` with exact IEEE arithmetic (no fast-math), without the GIL, cached on disk if possible.
+
+    Where it is cached, one of several processes that need it at once compiles it, and the others wait and load it.
+    """
     try:
         # Without a home, numba would make a folder called ~ where it is run.
         os.environ.get("NUMBA_CACHE_DIR") or Path.home()
-        return cast("Function", numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+        compiled = _compiler(cache=True)(function)
     except RuntimeError:  # no home, or numba found no folder to keep it in
         _report_missing_cache()
-        return cast("Function", numba.njit(nogil=True, error_model="numpy")(function))
+        return cast("Function", _compiler()(function))
+    compiled.compile = partial(_compile_once, compiled, compiled.compile)
+    return cast("Function", compiled)
+
+
+def helper(function: Function) -> Function:
+    """Compile ``function`` for kernels alone to call, a part of each: without the entry for Python, in less time."""
+    bare = _compiler(no_cpython_wrapper=True)(function)
+    bare._insert = lambda *_: None  # noqa: SLF001 # Python would call an address that there is not
+    bare._compile_for_args = lambda *_, **__: function  # noqa: SLF001 # what it calls instead
+    return cast("Function", bare)
+
+
+def _compile_once(compiled: Any, compile_here: Callable[[Any], Any], signature: Any) -> Any:
+    """Compile or load a kernel while no other process does, and say so once this one has spent a second on it."""
+    if global_compiler_lock.is_locked():  # type: ignore[no-untyped-call] # within a kernel, whose folder is locked
+        return compile_here(signature)
+    with hold_lock(compiled.stats.cache_path):
+        before, began = compiled.stats.cache_misses[signature], time.perf_counter()
+        code = compile_here(signature)
+        if compiled.stats.cache_misses[signature] > before:
+            _SPENT_S.append(time.perf_counter() - began)
+    if sum(_SPENT_S) > 1 and os.environ.get(_COMPILED_REPORTED) is None:
+        os.environ[_COMPILED_REPORTED] = "1"
+        _LOG.warning("eldata compiles its kernels, which takes seconds, once for this machine and version")
+    return code
 
 
 def _report_missing_cache() -> None:

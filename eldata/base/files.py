@@ -319,6 +319,25 @@ def try_lock(file: int | IO[bytes], *, shared: bool = False, wait: bool = False)
     return True
 
 
+@contextmanager
+def hold_lock(folder: str) -> Iterator[None]:
+    """Hold a folder's lock while the block runs, where there are locks; wait for it."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError:  # on Windows
+        yield
+        return
+    try:
+        try_lock(descriptor, wait=True)
+        yield
+    finally:
+        with suppress(ImportError, OSError):  # a process that was forked meanwhile has it open too
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_UN)
+        os.close(descriptor)
+
+
 def _is_at(path: Path, file: os.stat_result) -> bool:
     """Tell whether a file still has its name: another process may have removed or renamed it."""
     try:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.compiled import kernel
+from eldata.base.compiled import helper, kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,7 +30,7 @@ _STRIP = 256  # columns at a time, so that the sums and the ring below stay in t
 _STRIDE = _STRIP + 16  # room for the margin; constant, which lets LLVM see that the rows do not overlap
 
 
-@kernel
+@helper
 def clamp(value: float, low: float, high: float) -> float:
     """Limit a value to [low, high]; NaN stays NaN."""
     if value < low:
@@ -186,7 +186,7 @@ WEIGHTS = tuple(value / _SUM for value in _UNSCALED)
 _W0, _W1, _W2, _W3, _W4, _W5 = WEIGHTS
 
 
-@kernel
+@helper
 def _filter_along_row(row: NDArray[np.float64], out: NDArray[np.float64], count: int) -> None:
     """Filter a row with the Gaussian window of 11 weights: ``count`` values into ``out``."""
     for j in range(count):
@@ -197,7 +197,7 @@ def _filter_along_row(row: NDArray[np.float64], out: NDArray[np.float64], count:
         )
 
 
-@kernel
+@helper
 def _filter_along_column(rows: NDArray[np.float64], first: int, out: NDArray[np.float64], count: int) -> None:
     """Filter eleven rows from ``first`` on, down each column: ``count`` values into ``out``."""
     for j in range(count):
@@ -208,7 +208,7 @@ def _filter_along_column(rows: NDArray[np.float64], first: int, out: NDArray[np.
         )
 
 
-@kernel
+@helper
 def _along_two_columns(
     rows: NDArray[np.float64], first: int, above: NDArray[np.float64], below: NDArray[np.float64], count: int
 ) -> None:
@@ -225,7 +225,7 @@ def _along_two_columns(
         )
 
 
-@kernel
+@helper
 def _mix(filtered: NDArray[np.float64], weights: NDArray[np.float64], mixed: NDArray[np.float64], count: int) -> None:
     """Weigh the channels that a window spans."""
     mixed[:] = 0.0

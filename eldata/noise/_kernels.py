@@ -5,16 +5,13 @@ The random numbers, and what makes results independent of threads and batches, a
 
 from __future__ import annotations
 
-import logging
 import math
-import time
-from collections import namedtuple
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.compiled import in_threads, kernel
+from eldata.base.compiled import helper, in_threads, kernel
 from eldata.noise._random_kernels import (
     LAMBDA_FLOOR,
     POWER_TERMS,
@@ -50,9 +47,8 @@ if TYPE_CHECKING:
 
     from eldata.noise.parameters import Adc
 
-_LOG = logging.getLogger(__name__)
 BITS = {name: 1 << place for place, name in enumerate(COMPONENTS)}
-"""The components, as :attr:`Draw.components` holds them."""
+"""The components, as the kernel takes their sum."""
 P, P_STAR, G, G_STAR, B, R, U = BITS.values()
 
 FIGURES = np.dtype(
@@ -75,23 +71,6 @@ FIGURES = np.dtype(
 """The figures of one packed channel of one image."""
 PARAMETERS = [name for name in FIGURES.names or () if name in NoiseParameters.__slots__]
 """The figures that are fields of :class:`~eldata.noise.parameters.NoiseParameters`."""
-
-Draw = namedtuple(  # noqa: PYI024 - numba compiles this kind
-    "Draw",
-    [
-        "components",  # the sum of their BITS
-        "converts",  # whether a converter rounds
-        "figures",  # (N, C) of FIGURES
-        "power",  # (N, POWER_TERMS) float32: each image's polynomial for (1 - v)^lambda
-        "dark",  # (N, C, h, w) float32: dark frames above black, DN; of no pixels where there are none
-        "tables",  # of Poisson draws
-        "row_table",  # the mosaic's rows under packed ones (packed_rows), and their period
-        "row_period",
-        "keys",  # (N,) uint64: each image's key
-        "places",  # (N,) uint64: its number under that key
-    ],
-)
-"""What a batch of N images is exposed by, as the kernel takes it."""
 
 _U4 = np.uint32
 _U8 = np.uint64
@@ -154,20 +133,16 @@ def expose_compiled(
     figures["black"], figures["white"] = (0.0, math.inf) if adc is None else (adc.black_level_dn, adc.white_level_dn)
     figures["low"], figures["high"] = limits
     lambdas = figures["tukey_lambda"][:, 0].tolist()
-    record = Draw(
-        components=sum(BITS[name] for name in components),
-        converts=adc is not None,
-        figures=figures,
-        power=np.concatenate([_fit_powers(tuple(lambdas[first : first + under])) for first in range(0, images, under)]),
-        dark=np.empty((images, channels, 0, 0), np.float32) if dark is None else dark,  # None is compiled again
-        tables=poisson_tables(),
-        row_table=table,
-        row_period=period,
-        keys=np.repeat(np.array(keys, np.uint64), under),
-        places=np.tile(np.arange(under, dtype=np.uint64), len(keys)),
-    )
+    powers = [_fit_powers(tuple(lambdas[first : first + under])) for first in range(0, images, under)]
+    dark = np.empty((images, channels, 0, 0), np.float32) if dark is None else dark.view()  # None is compiled again
     planes, size = images * channels, rows * columns
     flat_clean, flat_out = clean.reshape(planes, size), result.reshape(planes, size)
+    flat_clean.flags.writeable = dark.flags.writeable = False  # always, or the other kind is compiled again
+    record = (
+        *(flat_clean, flat_out, sum(BITS[name] for name in components), adc is not None),
+        *(figures, np.concatenate(powers), dark, *poisson_tables(), table, period),
+        *(np.repeat(np.array(keys, np.uint64), under), np.tile(np.arange(under, dtype=np.uint64), len(keys))),
+    )
     if size < _PIECE:
         whole = max(1, _PIECE // size)
         pieces = [(first, min(first + whole, planes), 0, rows) for first in range(0, planes, whole)]
@@ -179,8 +154,10 @@ def expose_compiled(
 
     def fill_piece(piece: tuple[int, int, int, int]) -> None:
         """Add noise to one piece: its first and last plane and row."""
-        marks_of_8 = np.zeros(STRIP // 8, np.uint64)  # one memory seen in two ways, which takes seconds to compile
-        add_noise(flat_clean, flat_out, record, marks_of_8.view(np.uint8), marks_of_8, channels, columns, *piece)
+        entries = np.zeros((3, STRIP), np.uint64)
+        marks = entries[2].view(np.uint8)  # one memory seen in two ways, which takes seconds to compile
+        room = marks, entries, np.empty((7, STRIP), np.uint32), np.empty((6, STRIP), np.float32)
+        add_noise(*record, *room, channels, columns, *piece)
 
     in_threads(fill_piece, pieces, threads)
     return result
@@ -188,16 +165,9 @@ def expose_compiled(
 
 @cache
 def prepare() -> None:
-    """Compile or load the engine in this process, before workers begin that would each compile it.
-
-    It is kept on disk; where it was not yet, a line says how long it took.
-    """
-    began = time.perf_counter()
+    """Compile or load the engine in this process, before workers begin that would wait for it."""
     draw = NoiseDraw(NoiseParameters(1.0, 0.1, 1.0, 1.0, 1.0), ratio=1.0, range_dn=1.0)
     expose_compiled(np.zeros((1, 4, 1, 1), np.float32), [draw], tuple(COMPONENTS), keys=[0])
-    took_s = time.perf_counter() - began
-    if add_noise.stats.cache_misses and took_s > 1:  # type: ignore[attr-defined] # numba's
-        _LOG.warning("eldata compiled its noise model in %.0f s, once for this machine and version", took_s)
 
 
 def _collect_figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool) -> NDArray[np.void]:
@@ -231,75 +201,71 @@ def power_coefficients(shape: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.ascontiguousarray(np.linalg.solve(np.vander(nodes, increasing=True), values).T, dtype=np.float32)
 
 
-@kernel
-def _expect_events(clean: NDArray[np.float32], events: Any, out: NDArray[np.float32]) -> None:
+@helper
+def _expect_events(size: int, clean: NDArray[np.float32], events: Any, out: NDArray[np.float32]) -> None:
     """Write the mean number of events; below 0 counts as 0, NaN stays."""
-    for j in range(clean.size):
+    for j in range(size):
         mean = clean[j] * events
         out[j] = _ZERO if mean < _ZERO else mean
 
 
-@kernel
-def _add_spread(mean: NDArray[np.float32], normal: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+@helper
+def _add_spread(size: int, mean: NDArray[np.float32], normal: NDArray[np.float32], out: NDArray[np.float32]) -> None:
     """Write the normal limit of Poisson draws: mean + sqrt(mean) times a standard normal draw."""
-    for j in range(out.size):
+    for j in range(size):
         out[j] = mean[j] + np.sqrt(mean[j]) * normal[j]
 
 
-@kernel
+@helper
 def _compose_noisy(
-    value: NDArray[np.float32], gain: Any, sigma: Any, noise: NDArray[np.float32], offset: NDArray[np.float32]
-) -> None:
+    size: int, value: NDArray[np.float32], gain: Any, sigma: Any, noise: NDArray[np.float32],
+    offset: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Turn events into DN and add the read noise and the offset."""
-    for j in range(value.size):
+    for j in range(size):
         value[j] = (value[j] * gain + sigma * noise[j]) + offset[j]
 
 
-@kernel
-def _compose_noiseless(value: NDArray[np.float32], gain: Any, offset: NDArray[np.float32]) -> None:
+@helper
+def _compose_noiseless(size: int, value: NDArray[np.float32], gain: Any, offset: NDArray[np.float32]) -> None:
     """Turn events into DN and add the offset, in place."""
-    for j in range(value.size):
+    for j in range(size):
         value[j] = value[j] * gain + offset[j]
 
 
-@kernel
+@helper
 def _add_dark(offset: NDArray[np.float32], dark: NDArray[np.float32]) -> None:
     """Add a row of a dark frame, in DN, to the offset."""
     for j in range(offset.size):
         offset[j] += dark[j]
 
 
-@kernel
-def _digitise(value: NDArray[np.float32], black: Any, white: Any, step: Any) -> None:
+@helper
+def _digitise(size: int, value: NDArray[np.float32], black: Any, white: Any, step: Any) -> None:
     """Round to the converter's steps and to whole DN, black level included, and limit to its range."""
-    for j in range(value.size):
+    for j in range(size):
         code = np.rint(np.rint((value[j] + black) / step) * step)
         code = _ZERO if code < _ZERO else code
         code = white if code > white else code
         value[j] = code - black
 
 
-@kernel
-def _normalise(value: NDArray[np.float32], out: NDArray[np.float32], scale: Any, low: Any, high: Any) -> None:
+@helper
+def _normalise(
+    size: int, value: NDArray[np.float32], out: NDArray[np.float32], scale: Any, low: Any, high: Any
+) -> None:
     """Normalise DN by ``scale``, and limit to ``low`` and ``high``."""
-    for j in range(value.size):
+    for j in range(size):
         normalised = value[j] * scale
         normalised = low if normalised < low else normalised
         out[j] = high if normalised > high else normalised
 
 
-@kernel
+@helper
 def _lay_offset(
-    offset: NDArray[np.float32],
-    bias: Any,
-    sigma_row: Any,
-    table: NDArray[np.int64],
-    period: int,
-    row: int,
-    start: int,
-    first: Any,
-    second: Any,
-) -> None:
+    offset: NDArray[np.float32], bias: Any, sigma_row: Any, table: NDArray[np.int64], period: int, row: int,
+    start: int, first: Any, second: Any,
+) -> None:  # fmt: skip
     """Write colour bias and row noise of a part of a row, from column ``start`` on, DN; by a stream's two keys."""
     sub, width = table.shape[0], offset.size
     for x in range(sub):
@@ -309,7 +275,8 @@ def _lay_offset(
             word = word_of(first, second, _U8(mosaic_row))
             dn = dn + sigma_row * gaussian_draw(_U4(word >> _S32), _U4(word))
         if sub == 1:
-            offset[:] = dn
+            for j in range(width):  # assigning to a slice compiles its message about shapes, in two seconds
+                offset[j] = dn
         else:
             for j in range((x - start) % sub, width, sub):
                 offset[j] = dn
@@ -317,108 +284,98 @@ def _lay_offset(
 
 @kernel
 def add_noise(
-    clean: NDArray[np.float32],
-    out: NDArray[np.float32],
-    draw: Any,
-    marks: NDArray[np.uint8],
-    marks_of_8: NDArray[np.uint64],
-    channels: int,
-    columns: int,
-    first: int,
-    last: int,
-    first_row: int,
-    last_row: int,
-) -> None:
+    clean: NDArray[np.float32], out: NDArray[np.float32], components: int, converts: bool, figures: NDArray[np.void],
+    power: NDArray[np.float32], dark: NDArray[np.float32], coarse_table: NDArray[np.uint64],
+    fine_table: NDArray[np.uint64], row_table: NDArray[np.int64], period: int, keys: NDArray[np.uint64],
+    places: NDArray[np.uint64], mark: NDArray[np.uint8], entries: NDArray[np.uint64], integers: NDArray[np.uint32],
+    floats: NDArray[np.float32], channels: int, columns: int, first: int, last: int, first_row: int, last_row: int,
+) -> None:  # fmt: skip
     """Fill rows ``first_row`` to ``last_row`` of the planes ``first`` to ``last``: all images' channels, one by one.
 
     One call for many small images: a call from Python costs as much as the noise of a thousand pixels.
+
+    ``clean``, ``out`` (N C, h w); ``components`` the sum of their :data:`BITS`; ``converts`` says whether one rounds;
+    ``figures`` (N, C) of :data:`FIGURES`; ``power`` (N, :data:`POWER_TERMS`) the polynomials for (1 - v)^lambda;
+    ``dark`` (N, C, h, w) dark frames above black, DN, of no pixels where there are none; the tables of Poisson draws;
+    the mosaic's rows under packed ones (packed_rows) and their period; ``keys`` (N,) each image's key, ``places`` (N,)
+    its number under that key. The rest of the arrays is room for strips.
     """
-    entries = np.empty((2, STRIP), np.uint64)
-    integers = np.empty((7, STRIP), np.uint32)
-    floats = np.empty((6, STRIP), np.float32)
+    # Whole rows of them, with the number of pixels beside: a slice of each would take a second to compile.
+    coarse_entry, fine_entry, mark_of_8 = entries[0], entries[1], entries[2]
+    high, low, rest_number, dither = integers[0], integers[1], integers[2], integers[3]
+    digits, coarse, fine = integers[4], integers[5], integers[6]
+    mean, value, rest = floats[0], floats[1], floats[2]
+    offset, noise, tail = floats[3], floats[4], floats[5]
     # Whole rows lie side by side: a strip takes as many as it has room for, or short rows would fill no vector.
-    together = max(1, STRIP // columns)
+    together = STRIP // columns if columns < STRIP else 1
     for plane in range(first, last):
         image, channel, pixels = plane // channels, plane % channels, clean[plane]
-        # Taken out of the record once: each look into it counts references, which costs as much as many pixels.
-        components, converts = draw.components, draw.converts
-        figures, power, under = draw.figures[image, channel], draw.power[image], draw.row_table[channel]
-        dark, period, (coarse_table, fine_table) = draw.dark[image, channel], draw.row_period, draw.tables
-        key, number = draw.keys[image], draw.places[image]
+        figure, powers, under = figures[image, channel], power[image], row_table[channel]
+        frame, key, number = dark[image, channel], keys[image], places[image]
         shot_1, shot_2 = stream(key, number, SHOT)
         rest_1, rest_2 = stream(key, number, SHOT_REST)
         large_1, large_2 = stream(key, number, SHOT_LARGE)
         read_1, read_2 = stream(key, number, READ)
         row_1, row_2 = stream(key, number, ROW)
-        bias = figures.bias_dn if components & B else _ZERO
-        sigma_row = figures.sigma_row_dn if components & R else _ZERO
+        bias = figure.bias_dn if components & B else _ZERO
+        sigma_row = figure.sigma_row_dn if components & R else _ZERO
 
         for start in range(0, columns, STRIP):
-            width = min(start + STRIP, columns) - start
+            width = STRIP if start + STRIP < columns else columns - start
             for row in range(first_row, last_row, together):
-                count = min(together, last_row - row)
+                count = together if together < last_row - row else last_row - row
                 begin, size = row * columns + start, count * width
-                high, low = integers[0, :size], integers[1, :size]
-                rest_number, dither = integers[2, :size], integers[3, :size]
-                digits, coarse, fine = integers[4, :size], integers[5, :size], integers[6, :size]
-                mean, value, rest = floats[0, :size], floats[1, :size], floats[2, :size]
-                offset, noise, tail = floats[3, :size], floats[4, :size], floats[5, :size]
-                coarse_entry, fine_entry = entries[0, :size], entries[1, :size]
-                mark, mark_of_8 = marks[:size], marks_of_8[: (size + 7) // 8]
                 pixel = _U8(channel * pixels.size) + _U8(begin)
-                _expect_events(pixels[begin : begin + size], figures.events, mean)
+                _expect_events(size, pixels[begin : begin + size], figure.events, mean)
                 if components & (P_STAR | U):
-                    words(rest_number, dither, rest_1, rest_2, pixel)
+                    words(size, rest_number, dither, rest_1, rest_2, pixel)
                 if components & P_STAR:
-                    beyond = split_means(mean, digits, rest)
-                    words(high, low, shot_1, shot_2, pixel)
-                    find_columns(high, low, digits, coarse, fine)
-                    fetch(coarse, fine, coarse_table, fine_table, coarse_entry, fine_entry)
-                    choose(high, low, digits, coarse_entry, fine_entry, value)
-                    mark_rest(rest_number, rest, mark)
-                    add_rest(mark, mark_of_8, rest_number, rest, value)
+                    beyond = split_means(size, mean, digits, rest)
+                    words(size, high, low, shot_1, shot_2, pixel)
+                    find_columns(size, high, low, digits, coarse, fine)
+                    fetch(size, coarse, fine, coarse_table, fine_table, coarse_entry, fine_entry)
+                    choose(size, high, low, digits, coarse_entry, fine_entry, value)
+                    mark_rest(size, rest_number, rest, mark)
+                    add_rest(size, mark, mark_of_8, rest_number, rest, value)
                     if beyond > 0:
-                        add_large(mean, value, large_1, large_2, pixel)
+                        add_large(size, mean, value, large_1, large_2, pixel)
                 elif components & P:
-                    words(high, low, shot_1, shot_2, pixel)
-                    gaussian_draws(high, low, noise)
-                    _add_spread(mean, noise, value)
+                    words(size, high, low, shot_1, shot_2, pixel)
+                    gaussian_draws(size, high, low, noise)
+                    _add_spread(size, mean, noise, value)
                 else:
-                    for j in range(size):  # assigning to a slice compiles its message about shapes, in two seconds
+                    for j in range(size):
                         value[j] = mean[j]
 
                 for place in range(count):
                     here, of_row = row + place, offset[place * width : (place + 1) * width]
                     _lay_offset(of_row, bias, sigma_row, under, period, here, start, row_1, row_2)
-                    if dark.size > 0:
-                        _add_dark(of_row, dark[here, start : start + width])
+                    if frame.size > 0:
+                        _add_dark(of_row, frame[here, start : start + width])
 
                 if components & (G | G_STAR):
-                    words(high, low, read_1, read_2, pixel)
+                    words(size, high, low, read_1, read_2, pixel)
                     if components & G:
-                        gaussian_draws(high, low, noise)
-                        _compose_noisy(value, figures.gain_dn_per_e, figures.sigma_gauss_dn, noise, offset)
+                        gaussian_draws(size, high, low, noise)
+                        _compose_noisy(size, value, figure.gain_dn_per_e, figure.sigma_gauss_dn, noise, offset)
                     else:
-                        tukey_lambda_draws(high, low, figures.tukey_lambda, power, tail, noise)
-                        _compose_noisy(value, figures.gain_dn_per_e, figures.sigma_tl_dn, noise, offset)
+                        tukey_lambda_draws(size, high, low, figure.tukey_lambda, powers, tail, noise)
+                        _compose_noisy(size, value, figure.gain_dn_per_e, figure.sigma_tl_dn, noise, offset)
                 else:
-                    _compose_noiseless(value, figures.gain_dn_per_e, offset)
+                    _compose_noiseless(size, value, figure.gain_dn_per_e, offset)
 
                 if components & U:
-                    add_uniform(value, dither, figures.quantisation_step_dn)
+                    add_uniform(size, value, dither, figure.quantisation_step_dn)
                 if converts:
-                    _digitise(value, figures.black, figures.white, figures.quantisation_step_dn)
-                _normalise(value, out[plane, begin : begin + size], figures.scale, figures.low, figures.high)
+                    _digitise(size, value, figure.black, figure.white, figure.quantisation_step_dn)
+                _normalise(size, value, out[plane, begin : begin + size], figure.scale, figure.low, figure.high)
 
 
 @kernel
 def fill_line(
-    slope: NDArray[np.float32],
-    offset: NDArray[np.float32],
-    iso: np.float32,
-    levels: NDArray[np.float32],
+    slope: NDArray[np.float32], offset: NDArray[np.float32], iso: np.float32, levels: NDArray[np.float32],
     out: NDArray[np.float32],
-) -> None:
+) -> None:  # fmt: skip
     """Write ``slope * iso + offset + level``, a dark shading; ``levels`` (period, W) are of one period of the CFA."""
     for y in range(out.shape[0]):
         k, b, level, row = slope[y], offset[y], levels[y % levels.shape[0]], out[y]

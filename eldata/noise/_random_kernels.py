@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.compiled import kernel
+from eldata.base.compiled import helper
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -146,7 +146,7 @@ _SIN_0, _SIN_1, _SIN_2 = _F(6.28318528), _F(-41.34168072), _F(81.60248511)
 _SIN_3, _SIN_4 = _F(-76.58139641), _F(39.76161703)
 
 
-@kernel
+@helper
 def _mix(z: Any) -> Any:
     """Scramble a 64-bit word by SplitMix64's output function."""
     z = (z ^ (z >> _S30)) * _MIX_1
@@ -154,14 +154,14 @@ def _mix(z: Any) -> Any:
     return z ^ (z >> _S31)
 
 
-@kernel
+@helper
 def stream(key: Any, image: Any, component: Any) -> Any:
     """Return the two keys of a stream."""
     z = _mix(_mix(_mix(key + _WEYL) + _U8(image) * _WEYL) + (component + _U8(1)) * _WEYL)
     return z, _mix(z + _WEYL)
 
 
-@kernel
+@helper
 def _finish_word(z: Any, second: Any) -> Any:
     """SplitMix64's output function, with a second key between its two multiplications.
 
@@ -172,24 +172,24 @@ def _finish_word(z: Any, second: Any) -> Any:
     return z ^ (z >> _S31)
 
 
-@kernel
+@helper
 def word_of(first: Any, second: Any, counter: Any) -> Any:
     """Return word ``counter`` of a stream."""
     return _finish_word(first + counter * _WEYL, second)
 
 
-@kernel
-def words(high: NDArray[np.uint32], low: NDArray[np.uint32], first: Any, second: Any, counter: Any) -> None:
+@helper
+def words(size: int, high: NDArray[np.uint32], low: NDArray[np.uint32], first: Any, second: Any, counter: Any) -> None:
     """Write consecutive words, in halves: what follows is then 32-bit vector code."""
     state = first + counter * _WEYL
-    for j in range(high.size):
+    for j in range(size):
         word = _finish_word(state, second)
         high[j] = _U4(word >> _S32)
         low[j] = _U4(word)
         state += _WEYL
 
 
-@kernel
+@helper
 def _ln(x: Any) -> Any:
     """Return ln(x) of a positive, normal float32; relative error 1.5e-7, or 6e-8 absolute if that is more."""
     bits = _F(x).view(np.int32) - _ROOT_HALF
@@ -200,15 +200,11 @@ def _ln(x: Any) -> Any:
     return exponent * _LN2 + s * (_LN_0 + z * (_LN_1 + z * (_LN_2 + z * _LN_3)))
 
 
-@kernel
+@helper
 def tukey_lambda_draws(
-    high: NDArray[np.uint32],
-    low: NDArray[np.uint32],
-    shape: Any,
-    power: NDArray[np.float32],
-    tail: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
+    size: int, high: NDArray[np.uint32], low: NDArray[np.uint32], shape: Any, power: NDArray[np.float32],
+    tail: NDArray[np.float32], out: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Write the Tukey-lambda draw of each word: the quantile of v = its low 63 bits, or the mirrored one.
 
     With t = ln(v / (1 - v)), Q(v) = (v^l - (1 - v)^l) / l = (1 - v)^l (exp(l t) - 1) / l, which cancels nowhere.
@@ -216,15 +212,15 @@ def tukey_lambda_draws(
     vectorises; one long one it does not.
     """
     inverse = _ONE / shape
-    for j in range(out.size):
+    for j in range(size):
         v = _F(_U4(high[j] & _SIGN_OFF)) * _TO_32 + (_F(low[j]) + _HALF) * _TO_64
         tail[j] = v
         out[j] = v / (_ONE - v)
-    for j in range(out.size):
+    for j in range(size):
         out[j] = _ln(out[j])
-    for j in range(out.size):
+    for j in range(size):
         x = shape * out[j]
-        x = max(_EXP_LOWEST, x)
+        x = x if x > _EXP_LOWEST else _EXP_LOWEST  # noqa: FURB136 # max() is one more function to compile
         n = (x * _LOG2_E + _ROUNDER) - _ROUNDER
         r = (x - n * _LN2_HIGH) - n * _LN2_LOW
         p = _EXP_0 + r * (_EXP_1 + r * (_EXP_2 + r * (_EXP_3 + r * (_EXP_4 + r * _EXP_5))))
@@ -232,14 +228,14 @@ def tukey_lambda_draws(
         out[j] = two_n * ((r * inverse) * p) + (two_n - _ONE) * inverse
     p_0, p_1, p_2, p_3, p_4 = power[0], power[1], power[2], power[3], power[4]
     p_5, p_6, p_7, p_8, p_9 = power[5], power[6], power[7], power[8], power[9]
-    for j in range(out.size):
+    for j in range(size):
         v = tail[j]
         p = p_4 + v * (p_5 + v * (p_6 + v * (p_7 + v * (p_8 + v * p_9))))
         q = out[j] * (p_0 + v * (p_1 + v * (p_2 + v * (p_3 + v * p))))
         out[j] = q if high[j] < _SIGN else -q
 
 
-@kernel
+@helper
 def gaussian_draw(high: Any, low: Any) -> Any:
     """Return the standard normal draw of a word (Box-Muller; the high 40 bits give the radius)."""
     u = _F(high) * _TO_32 + (_F(_U4(low >> _U4(24))) + _HALF) * _TO_40
@@ -250,14 +246,14 @@ def gaussian_draw(high: Any, low: Any) -> Any:
     return radius * (q * (_SIN_0 + z * (_SIN_1 + z * (_SIN_2 + z * (_SIN_3 + z * _SIN_4)))))
 
 
-@kernel
-def gaussian_draws(high: NDArray[np.uint32], low: NDArray[np.uint32], out: NDArray[np.float32]) -> None:
+@helper
+def gaussian_draws(size: int, high: NDArray[np.uint32], low: NDArray[np.uint32], out: NDArray[np.float32]) -> None:
     """Write the standard normal draw of each word."""
-    for j in range(out.size):
+    for j in range(size):
         out[j] = gaussian_draw(high[j], low[j])
 
 
-@kernel
+@helper
 def large_poisson(mean: float, first: Any, second: Any, pixel: Any) -> float:
     """Return a Poisson draw for a mean above 10: Hörmann's transformed rejection with squeeze (PTRS, 1993).
 
@@ -282,11 +278,11 @@ def large_poisson(mean: float, first: Any, second: Any, pixel: Any) -> float:
     return mean
 
 
-@kernel
-def split_means(mean: NDArray[np.float32], digits: NDArray[np.uint32], rest: NDArray[np.float32]) -> int:
+@helper
+def split_means(size: int, mean: NDArray[np.float32], digits: NDArray[np.uint32], rest: NDArray[np.float32]) -> int:
     """Split the means into fine steps and the rest; return how many are beyond the tables (or NaN), taken as 0."""
     beyond = 0
-    for j in range(mean.size):
+    for j in range(size):
         inside = mean[j] < _LIMIT
         value = mean[j] if inside else _ZERO
         beyond += 0 if inside else 1
@@ -296,16 +292,13 @@ def split_means(mean: NDArray[np.float32], digits: NDArray[np.uint32], rest: NDA
     return beyond
 
 
-@kernel
+@helper
 def find_columns(
-    high: NDArray[np.uint32],
-    low: NDArray[np.uint32],
-    digits: NDArray[np.uint32],
-    coarse: NDArray[np.uint32],
-    fine: NDArray[np.uint32],
-) -> None:
+    size: int, high: NDArray[np.uint32], low: NDArray[np.uint32], digits: NDArray[np.uint32],
+    coarse: NDArray[np.uint32], fine: NDArray[np.uint32],
+) -> None:  # fmt: skip
     """Write the index of each pixel's column in the coarse and in the fine tables."""
-    for j in range(high.size):
+    for j in range(size):
         index = _U4(digits[j] >> _FINE_COUNT_BITS)
         number = high[j]
         place = _U4(_U4(index << _BITS_0) + _U4(number >> _SHIFT_0))
@@ -316,32 +309,24 @@ def find_columns(
         fine[j] = _U4(_U4(_U4(digits[j] & _FINE_MASK) << _FINE_BITS) + _U4(low[j] >> _FINE_SHIFT))
 
 
-@kernel
+@helper
 def fetch(
-    coarse: NDArray[np.uint32],
-    fine: NDArray[np.uint32],
-    coarse_table: NDArray[np.uint64],
-    fine_table: NDArray[np.uint64],
-    coarse_entry: NDArray[np.uint64],
-    fine_entry: NDArray[np.uint64],
-) -> None:
+    size: int, coarse: NDArray[np.uint32], fine: NDArray[np.uint32], coarse_table: NDArray[np.uint64],
+    fine_table: NDArray[np.uint64], coarse_entry: NDArray[np.uint64], fine_entry: NDArray[np.uint64],
+) -> None:  # fmt: skip
     """Look up each pixel's entries in both tables: only this is not vector code."""
-    for j in range(coarse.size):
+    for j in range(size):
         coarse_entry[j] = coarse_table[coarse[j]]
         fine_entry[j] = fine_table[fine[j]]
 
 
-@kernel
+@helper
 def choose(
-    high: NDArray[np.uint32],
-    low: NDArray[np.uint32],
-    digits: NDArray[np.uint32],
-    coarse_entry: NDArray[np.uint64],
-    fine_entry: NDArray[np.uint64],
-    out: NDArray[np.float32],
-) -> None:
+    size: int, high: NDArray[np.uint32], low: NDArray[np.uint32], digits: NDArray[np.uint32],
+    coarse_entry: NDArray[np.uint64], fine_entry: NDArray[np.uint64], out: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Write each pixel's number of events, the sum of the two values that its entries give."""
-    for j in range(high.size):
+    for j in range(size):
         index = _U4(digits[j] >> _FINE_COUNT_BITS)
         below = _LOW_0
         below = _LOW_1 if index >= _WIDER_1 else below
@@ -354,26 +339,23 @@ def choose(
         out[j] = _F(np.int32(_U4(_U4(value & _LOW_16) + _U4(more & _LOW_16))))
 
 
-@kernel
-def mark_rest(number: NDArray[np.uint32], rest: NDArray[np.float32], marks: NDArray[np.uint8]) -> None:
+@helper
+def mark_rest(size: int, number: NDArray[np.uint32], rest: NDArray[np.float32], marks: NDArray[np.uint8]) -> None:
     """Mark the pixels whose rest may give an event: P(at least one) = 1 - exp(-r) < r."""
-    for j in range(number.size):
+    for j in range(size):
         marks[j] = np.uint8(number[j] < _U4(np.int32(rest[j] * _FROM_32)))
 
 
-@kernel
+@helper
 def add_rest(
-    marks: NDArray[np.uint8],
-    marks_of_8: NDArray[np.uint64],
-    number: NDArray[np.uint32],
-    rest: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
+    size: int, marks: NDArray[np.uint8], marks_of_8: NDArray[np.uint64], number: NDArray[np.uint32],
+    rest: NDArray[np.float32], out: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Add the rest's events at the marked pixels: as many as there are k >= 1 with u < P(at least k)."""
-    for block in range(marks_of_8.size):
+    for block in range((size + 7) // 8):
         if marks_of_8[block] == _U8(0):
             continue
-        for j in range(8 * block, min(8 * block + 8, number.size)):
+        for j in range(8 * block, min(8 * block + 8, size)):
             if marks[j] == 0:
                 continue
             r = np.float64(rest[j])
@@ -388,20 +370,22 @@ def add_rest(
             out[j] += _F(k)
 
 
-@kernel
-def add_large(mean: NDArray[np.float32], out: NDArray[np.float32], first: Any, second: Any, pixel: Any) -> None:
+@helper
+def add_large(
+    size: int, mean: NDArray[np.float32], out: NDArray[np.float32], first: Any, second: Any, pixel: Any
+) -> None:
     """Draw where the mean is beyond the tables; infinity and NaN stay."""
-    for j in range(out.size):
+    for j in range(size):
         if not mean[j] < _LIMIT:
             out[j] = mean[j]
             if mean[j] < np.inf:
                 out[j] = _F(large_poisson(np.float64(mean[j]), first, second, pixel + _U8(j)))
 
 
-@kernel
-def add_uniform(value: NDArray[np.float32], number: NDArray[np.uint32], width: Any) -> None:
+@helper
+def add_uniform(size: int, value: NDArray[np.float32], number: NDArray[np.uint32], width: Any) -> None:
     """Add U(-1/2, 1/2) times a width, from the high 24 bits."""
-    for j in range(value.size):
+    for j in range(size):
         value[j] += (_F(np.int32(_U4(number[j] >> _U4(8))) - np.int32(0x800000)) + _HALF) * _TO_24 * width
 
 

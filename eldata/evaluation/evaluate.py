@@ -137,12 +137,7 @@ def evaluate(
     >>> result.frame.groupby("camera")["ssim"].mean().round(2).to_dict()
     {'DemoAlpha': 0.63, 'DemoBeta': 0.5}
     """
-    request = make_request(
-        predictions, dataset, protocol, root=root, manifest=manifest,
-        cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
-        baseline=baseline, strict=strict, task=task, dark_shading=dark_shading, workers=workers,
-    )  # fmt: skip
-    return perform_each([request])[0]
+    return perform_each([make_request(**locals())])[0]  # its parameters are these
 
 
 def evaluate_methods(
@@ -188,18 +183,10 @@ def evaluate_methods(
     >>> {name: round(float(result.frame["psnr_db"].mean()), 2) for name, result in results.items()}
     {'input': 29.02, 'dct': 39.03}
     """
-    names = list(predictions) if isinstance(predictions, Mapping) else []
-    folders = name_folders(
-        [Path(folder) for folder in (predictions.values() if isinstance(predictions, Mapping) else predictions)], names
-    )
-    requests = [
-        make_request(
-            folder, dataset, protocol, root=root, manifest=manifest,
-            cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
-            strict=strict, task=task, dark_shading=dark_shading, workers=workers,
-        )
-        for folder in folders.values()
-    ]  # fmt: skip
+    options = {name: value for name, value in locals().items() if name != "predictions"}
+    named = predictions if isinstance(predictions, Mapping) else {}
+    folders = name_folders([Path(folder) for folder in named.values() or predictions], list(named))
+    requests = [make_request(folder, **options) for folder in folders.values()]
     return dict(zip(folders, perform_each(requests), strict=True))
 
 
@@ -251,11 +238,7 @@ def scored_pairs(
     >>> round(float(np.abs(prediction - reference).mean()), 3)
     0.012
     """
-    request = make_request(
-        predictions, dataset, protocol, root=root, manifest=manifest,
-        cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
-        baseline=baseline, dark_shading=dark_shading,
-    )  # fmt: skip
+    request = make_request(**locals())  # its parameters are these
     plan = plan_scoring(request)
     found = _find_predictions(request, plan)
     if found.problems and not (allow_missing and found.files):

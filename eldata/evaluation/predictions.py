@@ -281,7 +281,7 @@ def describe_misplaced(
         likely = list(names)
         wrong = f"none of them read; expected {READ} ({rule}, and eldata.evaluation.save_prediction writes it)"
     others = [f"{count} of them of {name} (--dataset {name})" for name, count in elsewhere.items()]
-    advice = f"it holds predictions of other data, {_join_some(others, 'and')}" if others else None
+    advice = f"it holds predictions of other data, {_join_some(others)}" if others else None
     advice = advice or _other_folder(folder, likely, places) or _find_nearest(likely, places)
     return (
         f"found {counted(len(likely), 'file')}, {wrong}; {advice or 'is it the right folder, and the right dataset?'}"
@@ -300,7 +300,7 @@ def _other_folder(folder: Path, names: Sequence[str], places: Collection[str]) -
     if len(several) == 1:
         return f"they lie below {below.pop()}: give {several[0]} as the folder of predictions"
     if several:
-        return f"each of {_join_some(several, 'and')} holds some: give one of them as the folder of predictions"
+        return f"each of {_join_some(several)} holds some: give one of them as the folder of predictions"
     above = Path(os.path.abspath(folder))  # noqa: PTH100 # as it was called, links are not followed
     for levels in range(1, min(_FOLDERS_ABOVE, len(above.parts) - 1) + 1):
         prefix = "/".join(above.parts[-levels:])
@@ -331,11 +331,11 @@ def _predicted_path(place: str, name: str = "") -> str:
     return stem_of(place) + (Path(name).suffix if is_read(name) else EXTENSIONS[0])
 
 
-def _join_some(texts: Sequence[str], word: str) -> str:
+def _join_some(texts: Sequence[str]) -> str:
     """Return the first of some texts in a sentence, such as ``a, b and 3 others``."""
     if len(texts) > _MOST_NAMED + 1:
         texts = [*texts[:_MOST_NAMED], f"{len(texts) - _MOST_NAMED} others"]
-    return f" {word} ".join(filter(None, (", ".join(texts[:-1]), texts[-1])))
+    return " and ".join(filter(None, (", ".join(texts[:-1]), texts[-1])))
 
 
 # --- loading ----------------------------------------------------------------------------------------------------------

@@ -38,8 +38,6 @@ CHANNELS = {
 """How many channels packed frames may have, by a card's word for their colour filter array."""
 CFA_WORDS = tuple(CHANNELS)
 
-_UNSTATED = {"", "not stated", "none stated", "unknown"}
-
 
 @dataclass(frozen=True, slots=True)
 class Download:
@@ -209,11 +207,6 @@ class Card:
     levels: str = ""
     scored: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
-
-
-def stated(text: str) -> str:
-    """Return a card's text; empty if the text is ``not stated`` or the like."""
-    return "" if text.strip().lower() in _UNSTATED else text.strip()
 
 
 def find_subset(subsets: Sequence[Subset], name: str) -> Subset:

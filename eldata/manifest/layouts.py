@@ -85,13 +85,11 @@ def frame_path(camera: EldCamera, scene: int, number: int) -> str:
     return f"{camera.name}/scene-{scene}/IMG_{number:04d}{camera.extension}"
 
 
-def eld_records(
-    cameras: Iterable[EldCamera], scenes: Sequence[int], flags: Mapping[str, tuple[str, ...]] | None = None
-) -> tuple[FrameRecord, ...]:
+def eld_records(cameras: Iterable[EldCamera], scenes: Sequence[int]) -> tuple[FrameRecord, ...]:
     """Return the rows of an ELD-style set, sixteen frames for each camera and scene, sorted by path.
 
     ``ratio`` is the nominal low-light factor. Exposure times of noisy frames follow from the references' where those
-    are known: t_noisy = ISO_ref t_ref / (ISO_noisy f). ``flags`` are given by path.
+    are known: t_noisy = ISO_ref t_ref / (ISO_noisy f).
     """
     rows = []
     for camera in cameras:
@@ -118,8 +116,7 @@ def eld_records(
                             reference=frame_path(camera, scene, nearest),
                         )
                     )
-    flagged = [replace(row, flags=flags[row.path]) if flags and row.path in flags else row for row in rows]
-    return tuple(sorted(flagged, key=lambda row: row.path))
+    return tuple(sorted(rows, key=lambda row: row.path))
 
 
 # --- DRV --------------------------------------------------------------------------------------------------------------

@@ -132,11 +132,6 @@ class _Shot:
         """The noise at its ISO."""
         return self.plan.noise[self.iso_index]
 
-    @property
-    def level_dn(self) -> float:
-        """Level over black in the middle of a flat, DN."""
-        return self.plan.lamp_e_per_s * float(self.exposure_s) * self.noise.gain_dn_per_e
-
 
 def make_calibration_frames(
     folder: Path,
@@ -274,7 +269,8 @@ def _take_frame(shot: _Shot) -> None:
     if shot.role == "bias":
         mosaic = body.bias_frame(noise, generator)
     else:
-        mosaic = body.flat_frame(noise, shot.level_dn, generator)
+        level_dn = plan.lamp_e_per_s * float(shot.exposure_s) * noise.gain_dn_per_e  # over black, in the middle
+        mosaic = body.flat_frame(noise, level_dn, generator)
     write_shot(shot.path, mosaic, plan.camera.sensor, Fraction(noise.iso), shot.exposure_s)
 
 

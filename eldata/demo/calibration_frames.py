@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -192,16 +192,9 @@ def make_calibration_frames(
     finally:
         _draw_body.cache_clear()  # a caller's process need not keep its arrays
     write_json(folder / "truth.json", _collect_truth(plan, body), indent=1)
+    row = partial(FrameRecord, camera=camera.name, width=size[1], height=size[0])
     records = [
-        FrameRecord(
-            shot.path.relative_to(data).as_posix(),
-            shot.role,
-            camera.name,
-            iso=Fraction(shot.noise.iso),
-            exposure_s=shot.exposure_s,
-            width=size[1],
-            height=size[0],
-        )
+        row(shot.path.relative_to(data).as_posix(), shot.role, iso=Fraction(shot.noise.iso), exposure_s=shot.exposure_s)
         for shot in shots
     ]
     sources = "eldata.demo: a simulated camera; truth.json beside the manifests' folder holds its noise"

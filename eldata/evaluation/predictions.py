@@ -485,19 +485,15 @@ def _check_values(path: Path, values: NDArray[Any], cure: str) -> None:
     if not (np.isfinite(low) and np.isfinite(high)):
         bad = ~np.isfinite(values)
         first = tuple(int(axis) for axis in np.unravel_index(int(bad.argmax()), bad.shape))
-        raise PredictionError(
-            path,
-            f"expected finite values, found {int(bad.sum())} NaN or infinite, the first at {first}; mend the model",
-        )
+        found = f"{int(bad.sum())} NaN or infinite, the first at {first}"
+        raise PredictionError(path, f"expected finite values, found {found}; mend the model")
     if high <= _SCALE_LIMIT:
         return
     share = float(np.mean(values > _SCALE_LIMIT))
     if share > _SCALE_SHARE:
-        raise PredictionError(
-            path,
-            f"expected values in [0, 1], found {low:.4g} to {high:.4g} with {share:.1%} above {_SCALE_LIMIT:g}: is it "
-            f"in DN or 0..255? {cure}, or save uint16 with 65535 = 1.0",
-        )
+        found = f"{low:.4g} to {high:.4g} with {share:.1%} above {_SCALE_LIMIT:g}"
+        advice = f"is it in DN or 0..255? {cure}, or save uint16 with 65535 = 1.0"
+        raise PredictionError(path, f"expected values in [0, 1], found {found}: {advice}")
 
 
 def load_dng(path: Path, sensor: Sensor) -> Frame:
@@ -521,21 +517,15 @@ def load_dng(path: Path, sensor: Sensor) -> Frame:
     problem = file_problem(path)
     if problem is not None:
         raise PredictionError(path, problem)
+    expected = f"expected a mosaic of {sensor.height} x {sensor.width} pixels"
     try:
         pixels = max((directory.pixels for directory in read_directories(path)), default=0)
         if pixels > _MOST_MARGIN * sensor.height * sensor.width:
-            raise PredictionError(
-                path,
-                f"expected a mosaic of {sensor.height} x {sensor.width} pixels like the reference, found one of "
-                f"{pixels} pixels",
-            )
+            raise PredictionError(path, f"{expected} like the reference, found one of {pixels} pixels")
         frame = read_raw(path)
     except RawFileError as error:
         raise PredictionError(path, f"{error.reason}; write it again, for example with eldata.raw.write_dng") from error
     if frame.sensor.cfa != sensor.cfa or frame.mosaic.shape != (sensor.height, sensor.width):
-        raise PredictionError(
-            path,
-            f"expected a mosaic of {sensor.height} x {sensor.width} pixels with CFA {sensor.cfa} like the reference, "
-            f"found {frame.mosaic.shape[0]} x {frame.mosaic.shape[1]} with {frame.sensor.cfa}",
-        )
+        found = f"{frame.mosaic.shape[0]} x {frame.mosaic.shape[1]} with {frame.sensor.cfa}"
+        raise PredictionError(path, f"{expected} with CFA {sensor.cfa} like the reference, found {found}")
     return Frame.of_decoded(frame)

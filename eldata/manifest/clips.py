@@ -330,21 +330,12 @@ def windows(clip: Clip, *, length: int, stride: int, frames: FrameRange) -> list
     if length < 1 or stride < 1:
         raise ArgumentError(f"window and stride must be 1 or more; found {length}, {stride}")
     inside = frame_range(frames, len(clip.frames))
+    place, facts = (clip.camera, clip.scene, clip.split), (clip.iso, clip.ratio, clip.flags)
     found = [
-        ClipRecord(
-            clip.frames[start : start + length],
-            start,
-            clip.references[start] if clip.references else clip.reference,
-            clip.camera,
-            clip.scene,
-            clip.split,
-            clip.references[start : start + length],
-            clip.iso,
-            clip.ratio,
-            clip.flags,
-        )
+        ClipRecord(clip.frames[start:stop], start, next(iter(own), clip.reference), *place, own, *facts)
         for start in range(inside.start, inside.stop - length + 1, stride)
-        if clip.continuous(start, start + length)
+        for stop, own in [(start + length, clip.references[start : start + length])]
+        if clip.continuous(start, stop)
     ]
     if not found:
         raise DatasetError(

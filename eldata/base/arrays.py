@@ -103,8 +103,7 @@ def declared_array(
 @contextmanager
 def _convert_errors(path: Path, kind: str, error: type[FileError], advice: str) -> Iterator[None]:
     """Raise ``error``, with the file's name and the advice, for whatever reading the file raises."""
-    problem = file_problem(path)
-    if problem is not None:
+    if (problem := file_problem(path)) is not None:
         raise error(path, problem)
     try:
         yield

@@ -355,8 +355,7 @@ def write_notes(
     notes += [
         f"{count} predictions of {name} are there too; not scored here" for name, count in found.elsewhere.items()
     ]
-    bare = [outcome.path for outcome in outcomes if outcome.lacks_channel_whites]
-    if bare:
+    if bare := [outcome.path for outcome in outcomes if outcome.lacks_channel_whites]:
         notes.append(
             f"LibRaw has no white level per channel of the references of {len(bare)} pairs, such as that of {bare[0]}: "
             "the file's one white level was taken"
@@ -373,8 +372,7 @@ def write_notes(
     if "task" in result.provenance and scores:
         notes.append(task_note(result.provenance["task"]))
     low, high = _USUAL_RESCALE
-    odd = [score for score in scores if not low <= score.rescale <= high]
-    if odd:
+    if odd := [score for score in scores if not low <= score.rescale <= high]:
         notes.append(
             f"rescaled by less than {low:.2g} or more than {high:g}: {len(odd)} of {len(scores)} predictions, such as "
             f"{odd[0].name} by {odd[0].rescale:.3g}; is their scale that of the reference?"
@@ -493,8 +491,7 @@ def make_results_folder(folder: Path, names: Iterable[str]) -> None:
     except OSError as error:
         raise ArgumentError(f"cannot write {folder}: {error.strerror}; give a folder, in one that is there") from error
     for name in (*(f"{name}.json" for name in names), f"{COMPARISON}.json"):
-        problem = write_problem(folder / name)
-        if problem is not None:
+        if (problem := write_problem(folder / name)) is not None:
             raise ArgumentError(f"cannot write {folder / name}: {problem}")
 
 

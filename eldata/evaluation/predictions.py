@@ -239,8 +239,7 @@ def _find_raws(folder: Path, names: Iterable[str], dataset: Path, paths: Iterabl
 
 def check_folder(folder: Path) -> None:
     """Raise an EldataError unless a folder of predictions is there."""
-    problem = folder_problem(folder)
-    if problem is not None:
+    if (problem := folder_problem(folder)) is not None:
         raise EldataError(f"{folder}: {problem}; give the one that holds the predictions, a file for each noisy frame")
 
 
@@ -514,8 +513,7 @@ def load_dng(path: Path, sensor: Sensor) -> Frame:
     from eldata.raw.reading import read_raw
     from eldata.raw.tiff import read_directories
 
-    problem = file_problem(path)
-    if problem is not None:
+    if (problem := file_problem(path)) is not None:
         raise PredictionError(path, problem)
     expected = f"expected a mosaic of {sensor.height} x {sensor.width} pixels"
     try:

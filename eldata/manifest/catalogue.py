@@ -60,8 +60,7 @@ class FrameFiles:
             return cls(folder)
         stated = {}
         for record in expand(tuple(records), folder):
-            facts = mosaic_facts(card.mosaics, record)
-            if facts is not None:
+            if (facts := mosaic_facts(card.mosaics, record)) is not None:
                 stated[record.path] = facts, Exposure(record.iso, record.exposure_s)
         return cls(folder, stated)
 
@@ -183,8 +182,7 @@ def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None)
     rows, facts = contents or (None, None)
     records, digest = load_table(path, rows)
     card = load_card(path.with_suffix(".json"), facts)
-    unknown = {record.camera for record in records} - card.cameras.keys()
-    if unknown:
+    if unknown := {record.camera for record in records} - card.cameras.keys():
         record = next(record for record in records if record.camera in unknown)
         known = ", ".join(card.cameras)
         raise ManifestError(f"{path}, {record.path}: camera {record.camera!r} is not on the card, which has {known}")

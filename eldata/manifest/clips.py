@@ -224,8 +224,7 @@ def _of_ids(chosen: Iterable[FrameRecord], every: Iterable[FrameRecord], ids: Co
     """Return the chosen rows whose clips, or sequences, have these names."""
     clips_in: dict[str, list[str]] = defaultdict(list)
     for row in every:
-        moment = moment_of(row.scene)
-        if moment is not None:
+        if (moment := moment_of(row.scene)) is not None:
             clips_in[moment[0]].append(setting_name(row))
     wanted = ids if isinstance(ids, str) else [name for one in ids for name in clips_in.get(one, [one])]
     by_name = [[replace(row, scene=setting_name(row)) for row in rows] for rows in (chosen, every)]

@@ -85,11 +85,13 @@ def frame_path(camera: EldCamera, scene: int, number: int) -> str:
     return f"{camera.name}/scene-{scene}/IMG_{number:04d}{camera.extension}"
 
 
-def eld_records(cameras: Iterable[EldCamera], scenes: Sequence[int]) -> tuple[FrameRecord, ...]:
+def eld_records(
+    cameras: Iterable[EldCamera], scenes: Sequence[int], flags: Mapping[str, tuple[str, ...]] | None = None
+) -> tuple[FrameRecord, ...]:
     """Return the rows of an ELD-style set, sixteen frames for each camera and scene, sorted by path.
 
     ``ratio`` is the nominal low-light factor. Exposure times of noisy frames follow from the references' where those
-    are known: t_noisy = ISO_ref t_ref / (ISO_noisy f).
+    are known: t_noisy = ISO_ref t_ref / (ISO_noisy f). ``flags`` are given by path.
     """
     rows = []
     for camera in cameras:
@@ -109,7 +111,8 @@ def eld_records(cameras: Iterable[EldCamera], scenes: Sequence[int]) -> tuple[Fr
                     nearest = path_of(min(REFERENCE_NUMBERS, key=lambda reference: abs(reference - number)))
                     noisy = partial(frame, path_of(number), "noisy", reference=nearest)
                     rows.append(noisy(iso=Fraction(iso), exposure_s=exposure_s, ratio=Fraction(factor)))
-    return tuple(sorted(rows, key=lambda row: row.path))
+    flagged = [replace(row, flags=flags[row.path]) if flags and row.path in flags else row for row in rows]
+    return tuple(sorted(flagged, key=lambda row: row.path))
 
 
 # --- DRV --------------------------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, Final, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
 from eldata.base.files import file_problem
 from eldata.base.numbers import LARGEST_WHOLE, number_of, whole_of
@@ -186,15 +186,11 @@ class TextFile:
             raise self.problem(f"expected an object, found {shown(data)}")
         return Fields(self, data)
 
-    def rows(self, columns: Sequence[str]) -> Iterator[Fields]:
-        """Yield the rows of a CSV file whose first line names these columns; raises like :meth:`columns`.
-
-        Cells are texts, to be parsed (:meth:`Fields.parsed`); an empty one is ``None``.
-        """
+    def rows(self, columns: Sequence[str]) -> Iterator[TextRow]:
+        """Yield the rows of a CSV file whose first line names these columns; raises like :meth:`columns`."""
         for lines, cells in self.columns(columns):
             for line, *texts in zip(lines, *cells, strict=True):
-                data = {name: text or None for name, text in zip(columns, texts, strict=True)}
-                yield Fields(self, data, f"line {line}")
+                yield TextRow(self, dict(zip(columns, texts, strict=True)), f"line {line}")
 
     def columns(self, columns: Sequence[str]) -> Iterator[tuple[tuple[int, ...], list[tuple[str, ...]]]]:
         """Yield some rows of a CSV file at a time, by columns: the lines on which they end, and each column's cells.
@@ -262,13 +258,20 @@ class Fields:
     data: Mapping[str, Any]
     place: str = ""
 
+    _absent: ClassVar[tuple[object, ...]] = (None,)
+    _is_text: ClassVar[bool] = False  # whether numbers are texts
+
     def problem(self, name: str, reason: str) -> EldataError:
         """Make the error, to be raised, about a field."""
-        return self.file.problem(reason, f"field {self._join_name(name)}")
+        return self.file.problem(reason, self._name_place(name))
 
     def wrong(self, name: str, expected: str, value: object) -> EldataError:
         """Make the error, to be raised, about a field that holds something unexpected."""
         return self.problem(name, f"expected {expected}, found {shown(value)}")
+
+    def _name_place(self, name: str) -> str:
+        """Name a field's place in the file for messages."""
+        return f"field {self._join_name(name)}"
 
     def _join_name(self, name: str) -> str:
         """Join this object's place and a field's name: ``rows[0].iso``."""
@@ -297,8 +300,8 @@ class Fields:
     def optional(
         self, name: str, read: Callable[..., Value], default: Value | None = None, **options: Any
     ) -> Value | None:
-        """Return ``read(name, **options)``; the default where the field is not there, or null."""
-        return default if self.data.get(name) is None else read(name, **options)
+        """Return ``read(name, **options)``; the default where the field is not there, null, or an empty cell."""
+        return default if self.data.get(name) in self._absent else read(name, **options)
 
     def schema(self, number: int, program: str = "eldata", *, also: tuple[int, ...] = ()) -> int:
         """Return the schema number; refuse an unknown one."""
@@ -395,11 +398,11 @@ class Fields:
 
     def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
         """Return a whole number."""
-        return self.parsed(name, whole_of, at_least=at_least, at_most=at_most, text=False)
+        return self.parsed(name, whole_of, at_least=at_least, at_most=at_most, text=self._is_text)
 
     def number(self, name: str, *, at_least: float = -math.inf, above: float = -math.inf) -> float:
         """Return a finite number."""
-        return self.parsed(name, number_of, at_least=at_least, above=above, text=False)
+        return self.parsed(name, number_of, at_least=at_least, above=above, text=self._is_text)
 
     def parsed(self, name: str, parse: Callable[..., Value], **options: Any) -> Value:
         """Return ``parse(value, **options)``; its :class:`~eldata.errors.ArgumentError` becomes the file's error."""
@@ -407,3 +410,15 @@ class Fields:
             return parse(self.data.get(name, NOTHING), **options)
         except ArgumentError as error:
             raise self.problem(name, str(error)) from None
+
+
+@dataclass(frozen=True, slots=True)
+class TextRow(Fields):
+    """A row of a CSV file; numbers are parsed from the cells' text, and an empty cell counts as missing."""
+
+    _absent: ClassVar[tuple[object, ...]] = ("",)
+    _is_text: ClassVar[bool] = True
+
+    def _name_place(self, name: str) -> str:
+        """Name a field's place in the file for messages."""
+        return f"{self.place}, column {name}"

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
-from eldata.base.fields import Fields, TextFile, names_of
-from eldata.base.numbers import number_of, whole_of
+from eldata.base.fields import Fields, TextFile, TextRow, names_of
 from eldata.base.tables import text_table, wrapped
 from eldata.errors import ManifestError
 from eldata.evaluation.results import saved_result
@@ -138,7 +137,7 @@ def _read_source(key: str, entry: Fields) -> PublishedSource:
     return PublishedSource(key, **texts, commit=commit, tables=titles, known=known, unknown=unknown)
 
 
-def _read_row(row: Fields, sources: dict[str, PublishedSource]) -> PublishedRow:
+def _read_row(row: TextRow, sources: dict[str, PublishedSource]) -> PublishedRow:
     """Read a published number from a row of CSV."""
     source = sources[row.choice("source", tuple(sources))]
     return PublishedRow(
@@ -146,15 +145,15 @@ def _read_row(row: Fields, sources: dict[str, PublishedSource]) -> PublishedRow:
         table=row.choice("table", tuple(source.tables)),
         dataset=row.text("dataset"),
         camera=row.text("camera"),
-        subset=row.data["subset"],
-        protocols=tuple(name for name in (row.data["protocol"] or "").split(";") if name),
-        ratio=row.optional("ratio", row.parsed, parse=number_of, at_least=0),
-        pairs=row.optional("pairs", row.parsed, parse=whole_of, at_least=1),
+        subset=row.data["subset"] or None,
+        protocols=tuple(name for name in row.data["protocol"].split(";") if name),
+        ratio=row.optional("ratio", row.number, at_least=0),
+        pairs=row.optional("pairs", row.whole, at_least=1),
         method=row.text("method"),
-        psnr_db=row.parsed("psnr_db", number_of, at_least=0),
-        ssim=row.optional("ssim", row.parsed, parse=number_of, at_least=0),
-        st_rred=row.optional("st_rred", row.parsed, parse=number_of, at_least=0),
-        note=row.data["note"] or "",
+        psnr_db=row.number("psnr_db", at_least=0),
+        ssim=row.optional("ssim", row.number, at_least=0),
+        st_rred=row.optional("st_rred", row.number, at_least=0),
+        note=row.data["note"],
     )
 
 

@@ -250,16 +250,14 @@ def table(text: str) -> TextFile:
 
 def test_cells_are_parsed_from_text() -> None:
     (row,) = table("name,iso,ratio,score\nx,100,1/3,\n").rows(("name", "iso", "ratio", "score"))
-    assert (row.text("name"), row.parsed("iso", whole_of), row.parsed("ratio", fraction_of)) == (
-        "x",
-        100,
-        Fraction(1, 3),
-    )
-    assert row.optional("score", row.parsed, parse=number_of) is None
-    (odd,) = table("name,iso\nx,1e999\n").rows(("name", "iso"))
-    for parse in (whole_of, number_of):
-        with pytest.raises(ManifestError, match=r"a\.csv, field line 2\.iso: expected a .*found '1e999'"):
-            odd.parsed("iso", parse)
+    assert (row.text("name"), row.whole("iso"), row.parsed("ratio", fraction_of)) == ("x", 100, Fraction(1, 3))
+    assert row.number("iso") == 100.0
+    assert row.optional("score", row.number) is None
+    for name in ("iso", "ratio"):
+        (odd,) = table(f"name,{name}\nx,1e999\n").rows(("name", name))
+        for read in (odd.whole, odd.number):
+            with pytest.raises(ManifestError, match=rf"a\.csv, line 2, column {name}: expected a .*found '1e999'"):
+                read(name)
 
 
 def test_tables_that_are_not_as_declared() -> None:

@@ -126,8 +126,7 @@ def read_file(work: Callable[[Path], Result], path: Path, error: type[FileError]
     Exception
         Whatever else ``work`` raises.
     """
-    problem = file_problem(path)
-    if problem is not None:
+    if (problem := file_problem(path)) is not None:
         raise error(path, problem)
     try:
         return work(path)
@@ -410,8 +409,7 @@ def inside(root: Path, relative: str) -> Path:
     ManifestError
         If the path is unsafe as text or leads outside.
     """
-    problem = path_problem(relative)
-    if problem is not None:
+    if (problem := path_problem(relative)) is not None:
         raise ManifestError(f"path {relative!r} {problem}")
     path = root.joinpath(*PurePosixPath(relative).parts)
     try:

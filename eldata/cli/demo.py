@@ -31,23 +31,14 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument("folder", metavar="DIR", nargs="?", default="eldata-demo", help="default: %(default)s")
     parser.add_argument("--scenes", type=int, metavar="N", help="scenes per camera (default: 4)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the noise (default: %(default)s)")
-    parser.add_argument(
-        "--beside",
-        choices=("dct", "bm3d", "anscombe-bm3d"),
-        metavar="NAME",
-        help="baseline to compare with; bm3d takes minutes (default: dct)",
-    )
+    text = "baseline to compare with; bm3d takes minutes (default: dct)"
+    parser.add_argument("--beside", choices=("dct", "bm3d", "anscombe-bm3d"), metavar="NAME", help=text)
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--train", action="store_true", help="train a network on other scenes, and score it too")
     instead.add_argument("--calibration", action="store_true", help="calibrate a camera, instead of scenes")
-    parser.add_argument(
-        "--without",
-        action="append",
-        choices=tuple(_FEATURES),
-        default=[],
-        metavar="FEATURE",
-        help=f"with --calibration: a camera without this ({', '.join(_FEATURES)}); may be repeated",
-    )
+    text = f"with --calibration: a camera without this ({', '.join(_FEATURES)}); may be repeated"
+    features = tuple(_FEATURES)
+    parser.add_argument("--without", action="append", choices=features, default=[], metavar="FEATURE", help=text)
     console.add_shared(parser, run, "jobs")
 
 

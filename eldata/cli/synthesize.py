@@ -27,52 +27,33 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a new folder")
     parser.add_argument("--reference", metavar="PATTERN", help=REFERENCE_HELP)
     parser.add_argument("--camera", metavar="NAME", required=True, help="a shipped profile (SonyA7S2) or a JSON file")
-    parser.add_argument(
-        "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
+    text = "components of the noise (default: %(default)s)"
+    parser.add_argument("--model", default="P*+G*+B+R+U", metavar="SPEC", help=text)
+    text = (
+        "of component D, as in 'P*+D': real dark frames at --iso, of the camera that took CLEAN, each used once "
+        "before any is used twice; or eldata pack's store, or a manifest (.csv)"
     )
-    parser.add_argument(
-        "--dark-frames",
-        metavar="FOLDER|STORE",
-        help=(
-            "of component D, as in 'P*+D': real dark frames at --iso, of the camera that took CLEAN, each used once "
-            "before any is used twice; or eldata pack's store, or a manifest (.csv)"
-        ),
+    parser.add_argument("--dark-frames", metavar="FOLDER|STORE", help=text)
+    text = "low-light factors (default: 100:300)"
+    parser.add_argument("--ratio", metavar="A:B", type=_read_ratio, default=(100.0, 300.0), help=text)
+    text = "simulate this ISO, which noisy files then state, instead of drawing K"
+    parser.add_argument("--iso", type=float, help=text)
+    text = "take --iso beyond the range that the profile was calibrated over"
+    parser.add_argument("--extrapolate", action="store_true", help=text)
+    text = (
+        "which rows lambda and colour bias come from: any, as in the paper, or those of the nearest gain, which "
+        "--iso is best given with; measured: all figures as they were measured at --iso (default: any)"
     )
-    parser.add_argument(
-        "--ratio", metavar="A:B", type=_read_ratio, default=(100.0, 300.0), help="low-light factors (default: 100:300)"
+    parser.add_argument("--row", choices=("any", "nearest-gain", "measured"), default="any", help=text)
+    text = "of noisy frames (default: %(default)s)"
+    parser.add_argument("--format", choices=("dng", "npy"), default="dng", help=text)
+    text = (
+        "each folder of raws is a clip: draw parameters and ratio once for it, keep its frames together, and score "
+        "it under the protocol sequences; --no-clips draws them for each frame. To be said where it is not certain"
     )
-    parser.add_argument(
-        "--iso", type=float, help="simulate this ISO, which noisy files then state, instead of drawing K"
-    )
-    parser.add_argument(
-        "--extrapolate", action="store_true", help="take --iso beyond the range that the profile was calibrated over"
-    )
-    parser.add_argument(
-        "--row",
-        choices=("any", "nearest-gain", "measured"),
-        default="any",
-        help=(
-            "which rows lambda and colour bias come from: any, as in the paper, or those of the nearest gain, which "
-            "--iso is best given with; measured: all figures as they were measured at --iso (default: any)"
-        ),
-    )
-    parser.add_argument(
-        "--format", choices=("dng", "npy"), default="dng", help="of noisy frames (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--clips",
-        action=argparse.BooleanOptionalAction,
-        help=(
-            "each folder of raws is a clip: draw parameters and ratio once for it, keep its frames together, and score "
-            "it under the protocol sequences; --no-clips draws them for each frame. To be said where it is not certain"
-        ),
-    )
-    parser.add_argument(
-        "--split",
-        metavar="A:B",
-        type=_read_split,
-        help="shares of train and test, such as 95:5, drawn by --seed: whole clips, or else scenes (default: none)",
-    )
+    parser.add_argument("--clips", action=argparse.BooleanOptionalAction, help=text)
+    text = "shares of train and test, such as 95:5, drawn by --seed: whole clips, or else scenes (default: none)"
+    parser.add_argument("--split", metavar="A:B", type=_read_split, help=text)
     parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="default: %(default)s")
     kept = "{output} is an unfinished run: the finished frames are kept, and the same command goes on"

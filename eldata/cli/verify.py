@@ -28,15 +28,11 @@ if TYPE_CHECKING:
 
 def add_options(parser: console.Parser) -> None:
     """Add the options of `eldata verify`."""
-    parser.add_argument(
-        "manifests",
-        metavar="MANIFESTS",
-        nargs="*",
-        help=(
-            "datasets by name, such as eld; manifests (CSV files), or folders of them; or a store "
-            "(default: every known dataset that is there)"
-        ),
+    text = (
+        "datasets by name, such as eld; manifests (CSV files), or folders of them; or a store "
+        "(default: every known dataset that is there)"
     )
+    parser.add_argument("manifests", metavar="MANIFESTS", nargs="*", help=text)
     console.add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
     console.add_shared(parser, run, "root", "workers", json=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -132,11 +132,6 @@ class _Shot:
         """The noise at its ISO."""
         return self.plan.noise[self.iso_index]
 
-    @property
-    def level_dn(self) -> float:
-        """Level over black in the middle of a flat, DN."""
-        return self.plan.lamp_e_per_s * float(self.exposure_s) * self.noise.gain_dn_per_e
-
 
 def make_calibration_frames(
     folder: Path,
@@ -197,16 +192,9 @@ def make_calibration_frames(
     finally:
         _draw_body.cache_clear()  # a caller's process need not keep its arrays
     write_json(folder / "truth.json", _collect_truth(plan, body), indent=1)
+    row = partial(FrameRecord, camera=camera.name, width=size[1], height=size[0])
     records = [
-        FrameRecord(
-            shot.path.relative_to(data).as_posix(),
-            shot.role,
-            camera.name,
-            iso=Fraction(shot.noise.iso),
-            exposure_s=shot.exposure_s,
-            width=size[1],
-            height=size[0],
-        )
+        row(shot.path.relative_to(data).as_posix(), shot.role, iso=Fraction(shot.noise.iso), exposure_s=shot.exposure_s)
         for shot in shots
     ]
     sources = "eldata.demo: a simulated camera; truth.json beside the manifests' folder holds its noise"
@@ -274,7 +262,8 @@ def _take_frame(shot: _Shot) -> None:
     if shot.role == "bias":
         mosaic = body.bias_frame(noise, generator)
     else:
-        mosaic = body.flat_frame(noise, shot.level_dn, generator)
+        level_dn = plan.lamp_e_per_s * float(shot.exposure_s) * noise.gain_dn_per_e  # over black, in the middle
+        mosaic = body.flat_frame(noise, level_dn, generator)
     write_shot(shot.path, mosaic, plan.camera.sensor, Fraction(noise.iso), shot.exposure_s)
 
 

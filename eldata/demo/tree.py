@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import shutil
-from collections import Counter
 from fractions import Fraction
 from typing import TYPE_CHECKING, cast
 
@@ -15,7 +14,7 @@ from eldata.base.files import remove_leftovers, write_text
 from eldata.demo.camera import BASE_ISO, CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.errors import EldataError
-from eldata.manifest.card import CameraCard, Card
+from eldata.manifest.card import CameraCard, Card, counts_of
 from eldata.manifest.catalogue import save_manifest
 from eldata.manifest.layouts import EldCamera, eld_records
 from eldata.manifest.verify import verify
@@ -54,7 +53,7 @@ def demo_card(
         homepage="made by eldata demo",
         cfa="bayer" if all(len(sensor.cfa) == 2 for sensor in sensors.values()) else "xtrans",
         cameras={camera: CameraCard((sensor.model,)) for camera, sensor in sensors.items()},
-        counts=dict(sorted(Counter(str(record.role) for record in records).items())),
+        counts=counts_of(records),
         protocol="eld",
         sources=(source,),
     )

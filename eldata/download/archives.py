@@ -76,8 +76,7 @@ def read_members(path: Path) -> list[Member]:
         members = list(read(path))
     names: dict[str, str] = {}
     for member in members:
-        problem = path_problem(member.name.removesuffix("/")) or member.fault
-        if problem:
+        if problem := path_problem(member.name.removesuffix("/")) or member.fault:
             raise ArchiveError(path, f"member {shown(member.name)} {problem}; {_BY_HAND}")
         key = unicodedata.normalize("NFC", member.name).casefold()  # as file systems see it
         if key in names:

@@ -109,11 +109,9 @@ def find_targets(
     if not ways and unlisted_below is not None:
         ways = [("", unlisted_below)]
     if not ways:
-        raise ArchiveError(
-            archive,
-            f"none of its {len(names)} files is listed (found such as {min(names)}, expected such as {min(listed)}); "
-            f"is it another dataset's archive? If not, {by_hand}",
-        )
+        examples = f"found such as {min(names)}, expected such as {min(listed)}"
+        advice = f"is it another dataset's archive? If not, {by_hand}"
+        raise ArchiveError(archive, f"none of its {len(names)} files is listed ({examples}); {advice}")
     within, below = (f"{folder}/" if folder else "" for folder in ways[0])
     return {name: below + name.removeprefix(within) for name in names if name.startswith(within)}
 

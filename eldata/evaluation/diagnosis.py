@@ -259,8 +259,7 @@ def _find_shared_mistakes(inspections: Sequence[Inspection], fewest: int, depth:
     """Find the mistakes of whole groups: all frames, else a camera's, else a camera and factor's."""
     suspicions = []
     for where, members in _group_by(inspections, _PLACES[depth]).items():
-        shared = _find_shared_mistake(members, where, fewest)
-        if shared is not None:
+        if (shared := _find_shared_mistake(members, where, fewest)) is not None:
             suspicions.append(shared)
         elif depth + 1 < len(_PLACES):
             suspicions += _find_shared_mistakes(members, fewest, depth + 1)

@@ -138,12 +138,7 @@ def evaluate(
     >>> result.frame.groupby("camera")["ssim"].mean().round(2).to_dict()
     {'DemoAlpha': 0.63, 'DemoBeta': 0.5}
     """
-    request = make_request(
-        predictions, dataset, protocol, root=root, manifest=manifest,
-        cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
-        baseline=baseline, strict=strict, task=task, dark_shading=dark_shading, workers=workers,
-    )  # fmt: skip
-    return perform_each([request])[0]
+    return perform_each([make_request(**locals())])[0]  # its parameters are these
 
 
 def evaluate_methods(
@@ -189,18 +184,10 @@ def evaluate_methods(
     >>> {name: round(float(result.frame["psnr_db"].mean()), 2) for name, result in results.items()}
     {'input': 29.02, 'dct': 39.03}
     """
-    names = list(predictions) if isinstance(predictions, Mapping) else []
-    folders = name_folders(
-        [Path(folder) for folder in (predictions.values() if isinstance(predictions, Mapping) else predictions)], names
-    )
-    requests = [
-        make_request(
-            folder, dataset, protocol, root=root, manifest=manifest,
-            cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
-            strict=strict, task=task, dark_shading=dark_shading, workers=workers,
-        )
-        for folder in folders.values()
-    ]  # fmt: skip
+    options = {name: value for name, value in locals().items() if name != "predictions"}
+    named = predictions if isinstance(predictions, Mapping) else {}
+    folders = name_folders([Path(folder) for folder in named.values() or predictions], list(named))
+    requests = [make_request(folder, **options) for folder in folders.values()]
     return dict(zip(folders, perform_each(requests), strict=True))
 
 
@@ -252,11 +239,7 @@ def scored_pairs(
     >>> round(float(np.abs(prediction - reference).mean()), 3)
     0.012
     """
-    request = make_request(
-        predictions, dataset, protocol, root=root, manifest=manifest,
-        cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
-        baseline=baseline, dark_shading=dark_shading,
-    )  # fmt: skip
+    request = make_request(**locals())  # its parameters are these
     plan = plan_scoring(request)
     found = _find_predictions(request, plan)
     if found.problems and not (allow_missing and found.files):
@@ -377,8 +360,7 @@ def write_notes(
     notes += [
         f"{count} predictions of {name} are there too; not scored here" for name, count in found.elsewhere.items()
     ]
-    bare = [outcome.path for outcome in outcomes if outcome.lacks_channel_whites]
-    if bare:
+    if bare := [outcome.path for outcome in outcomes if outcome.lacks_channel_whites]:
         notes.append(
             f"LibRaw has no white level per channel of the references of {len(bare)} pairs, such as that of {bare[0]}: "
             "the file's one white level was taken"
@@ -395,8 +377,7 @@ def write_notes(
     if "task" in result.provenance and scores:
         notes.append(task_note(result.provenance["task"]))
     low, high = _USUAL_RESCALE
-    odd = [score for score in scores if not low <= score.rescale <= high]
-    if odd:
+    if odd := [score for score in scores if not low <= score.rescale <= high]:
         notes.append(
             f"rescaled by less than {low:.2g} or more than {high:g}: {len(odd)} of {len(scores)} predictions, such as "
             f"{odd[0].name} by {odd[0].rescale:.3g}; are they scaled like the reference?"
@@ -515,8 +496,7 @@ def make_results_folder(folder: Path, names: Iterable[str]) -> None:
     except OSError as error:
         raise ArgumentError(f"cannot write {folder}: {error.strerror}; give a folder, in one that is there") from error
     for name in (*(f"{name}.json" for name in names), f"{COMPARISON}.json"):
-        problem = write_problem(folder / name)
-        if problem is not None:
+        if (problem := write_problem(folder / name)) is not None:
             raise ArgumentError(f"cannot write {folder / name}: {problem}")
 
 

@@ -239,8 +239,7 @@ def _find_raws(folder: Path, names: Iterable[str], dataset: Path, paths: Iterabl
 
 def check_folder(folder: Path) -> None:
     """Raise an EldataError unless a folder of predictions is there."""
-    problem = folder_problem(folder)
-    if problem is not None:
+    if (problem := folder_problem(folder)) is not None:
         raise EldataError(f"{folder}: {problem}; give the one that holds the predictions, a file for each noisy frame")
 
 
@@ -281,7 +280,7 @@ def describe_misplaced(
         likely = list(names)
         wrong = f"none of them read; expected {READ} ({rule}, and eldata.evaluation.save_prediction writes it)"
     others = [f"{count} of them of {name} (--dataset {name})" for name, count in elsewhere.items()]
-    advice = f"it holds predictions of other data, {_join_some(others, 'and')}" if others else None
+    advice = f"it holds predictions of other data, {_join_some(others)}" if others else None
     advice = advice or _other_folder(folder, likely, places) or _find_nearest(likely, places)
     return (
         f"found {counted(len(likely), 'file')}, {wrong}; {advice or 'is it the right folder, and the right dataset?'}"
@@ -300,7 +299,7 @@ def _other_folder(folder: Path, names: Sequence[str], places: Collection[str]) -
     if len(several) == 1:
         return f"they lie below {below.pop()}: give {several[0]} as the folder of predictions"
     if several:
-        return f"each of {_join_some(several, 'and')} holds some: give one of them as the folder of predictions"
+        return f"each of {_join_some(several)} holds some: give one of them as the folder of predictions"
     above = Path(os.path.abspath(folder))  # noqa: PTH100 # as it was called, links are not followed
     for levels in range(1, min(_FOLDERS_ABOVE, len(above.parts) - 1) + 1):
         prefix = "/".join(above.parts[-levels:])
@@ -331,11 +330,11 @@ def _predicted_path(place: str, name: str = "") -> str:
     return stem_of(place) + (Path(name).suffix if is_read(name) else EXTENSIONS[0])
 
 
-def _join_some(texts: Sequence[str], word: str) -> str:
+def _join_some(texts: Sequence[str]) -> str:
     """Return the first of some texts in a sentence, such as ``a, b and 3 others``."""
     if len(texts) > _MOST_NAMED + 1:
         texts = [*texts[:_MOST_NAMED], f"{len(texts) - _MOST_NAMED} others"]
-    return f" {word} ".join(filter(None, (", ".join(texts[:-1]), texts[-1])))
+    return " and ".join(filter(None, (", ".join(texts[:-1]), texts[-1])))
 
 
 # --- loading ----------------------------------------------------------------------------------------------------------
@@ -485,19 +484,15 @@ def _check_values(path: Path, values: NDArray[Any], cure: str) -> None:
     if not (np.isfinite(low) and np.isfinite(high)):
         bad = ~np.isfinite(values)
         first = tuple(int(axis) for axis in np.unravel_index(int(bad.argmax()), bad.shape))
-        raise PredictionError(
-            path,
-            f"expected finite values, found {int(bad.sum())} NaN or infinite, the first at {first}; fix the model",
-        )
+        found = f"{int(bad.sum())} NaN or infinite, the first at {first}"
+        raise PredictionError(path, f"expected finite values, found {found}; fix the model")
     if high <= _SCALE_LIMIT:
         return
     share = float(np.mean(values > _SCALE_LIMIT))
     if share > _SCALE_SHARE:
-        raise PredictionError(
-            path,
-            f"expected values in [0, 1], found {low:.4g} to {high:.4g} with {share:.1%} above {_SCALE_LIMIT:g}: is it "
-            f"in DN or 0..255? {cure}, or save uint16 with 65535 = 1.0",
-        )
+        found = f"{low:.4g} to {high:.4g} with {share:.1%} above {_SCALE_LIMIT:g}"
+        advice = f"is it in DN or 0..255? {cure}, or save uint16 with 65535 = 1.0"
+        raise PredictionError(path, f"expected values in [0, 1], found {found}: {advice}")
 
 
 def load_dng(path: Path, sensor: Sensor) -> Frame:
@@ -518,24 +513,17 @@ def load_dng(path: Path, sensor: Sensor) -> Frame:
     from eldata.raw.reading import read_raw
     from eldata.raw.tiff import read_directories
 
-    problem = file_problem(path)
-    if problem is not None:
+    if (problem := file_problem(path)) is not None:
         raise PredictionError(path, problem)
+    expected = f"expected a mosaic of {sensor.height} x {sensor.width} pixels"
     try:
         pixels = max((directory.pixels for directory in read_directories(path)), default=0)
         if pixels > _MOST_MARGIN * sensor.height * sensor.width:
-            raise PredictionError(
-                path,
-                f"expected a mosaic of {sensor.height} x {sensor.width} pixels like the reference, found one of "
-                f"{pixels} pixels",
-            )
+            raise PredictionError(path, f"{expected} like the reference, found one of {pixels} pixels")
         frame = read_raw(path)
     except RawFileError as error:
         raise PredictionError(path, f"{error.reason}; write it again, for example with eldata.raw.write_dng") from error
     if frame.sensor.cfa != sensor.cfa or frame.mosaic.shape != (sensor.height, sensor.width):
-        raise PredictionError(
-            path,
-            f"expected a mosaic of {sensor.height} x {sensor.width} pixels with CFA {sensor.cfa} like the reference, "
-            f"found {frame.mosaic.shape[0]} x {frame.mosaic.shape[1]} with {frame.sensor.cfa}",
-        )
+        found = f"{frame.mosaic.shape[0]} x {frame.mosaic.shape[1]} with {frame.sensor.cfa}"
+        raise PredictionError(path, f"{expected} with CFA {sensor.cfa} like the reference, found {found}")
     return Frame.of_decoded(frame)

@@ -239,8 +239,7 @@ def comparison_table(result: EvaluationResult | Mapping[str, Any], *, name: str 
         lines += [*_check_input([row for row in rows if row.method == NOISY_INPUT], reasons, mine), ""]
     if alike:
         lines += _write_remarks(alike, tables)
-    others = [row for row in rows if reasons[row] is not None]
-    if others:
+    if others := [row for row in rows if reasons[row] is not None]:
         lines.append("not compared:")
         lines += _list_others(others, reasons, tables)
     return "\n".join(lines).rstrip()

@@ -433,14 +433,10 @@ def _plan_clips(request: Request, protocol: ClipProtocol) -> ScoringPlan:
         subset = request.subset or subsets[0].name
     elif request.ids is None and not is_own(request.manifest):
         raise ArgumentError(f"{manifest.path}: its card names no subset; name the clips: {OF_CLIPS}")
-    paired = {row.split for row in manifest.records if row.role == "reference"}
+    splits = {row.split for row in manifest.records if row.role == "reference"}
+    paired, choice = [row for row in manifest.records if row.split in splits], Choice(request.cameras, subset=subset)
     candidates, rows = (
-        choose_clips(
-            [row for row in manifest.records if row.split in paired],
-            subsets,
-            Choice(cameras=request.cameras, subset=subset, exclude_flags=flags),
-            ids=request.ids,
-        )
+        choose_clips(paired, subsets, replace(choice, exclude_flags=flags), ids=request.ids)
         for flags in ((), request.exclude_flags)
     )
     check_rows(request, rows, "quick")

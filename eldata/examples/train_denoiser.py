@@ -261,9 +261,8 @@ def choose_set(options: argparse.Namespace) -> list[str]:
     name = options.validate or "eld"
     chosen = ["--manifest" if Path(name).suffix == ".csv" else "--dataset", name]
     chosen += ["--root", options.root] if options.root else []
-    return (
-        [*chosen, "--protocol", scored_protocol(options)] if options.protocol or options.task != "raw2raw" else chosen
-    )
+    is_named = options.protocol or options.task != "raw2raw"
+    return [*chosen, "--protocol", scored_protocol(options)] if is_named else chosen
 
 
 def show_next(folder: Path, *chosen: str) -> None:
@@ -298,33 +297,20 @@ def start_ranks(kind: str) -> torch.device:
 def parser() -> console.Parser:
     """Make the command line's parser."""
     parser, data = program(__doc__, run)
-    data.add_argument(
-        "--clean", nargs="+", metavar="CLEAN", help="folders of clean raws, manifests, or packed stores of such"
-    )
-    how = add_training_options(parser, data)
+    text = "folders of clean raws, manifests, or packed stores of such"
+    data.add_argument("--clean", nargs="+", metavar="CLEAN", help=text)
+    add_training_options(parser, data)
     data.add_argument("--pairs", metavar="STORE", help="a packed store of pairs")
     data.add_argument("--noise2noise", action="store_true", help="a second noisy frame in place of the clean one")
-    data.add_argument(
-        "--crops-per-frame",
-        type=int,
-        metavar="N",
-        help="so many at random in an epoch (default: the paper's, each of a grid once)",
-    )
-    data.add_argument(
-        "--task",
-        choices=("raw2raw", "raw2rgb", "rgb2rgb"),
-        default="raw2raw",
-        help="from what to what (default: %(default)s)",
-    )
-    how.add_argument(
-        "--depth", type=int, default=4, metavar="D", help="how often it halves the image (default: %(default)s)"
-    )
+    text = "so many at random in an epoch (default: the paper's, each of a grid once)"
+    data.add_argument("--crops-per-frame", type=int, metavar="N", help=text)
+    text, tasks = "from what to what (default: %(default)s)", ("raw2raw", "raw2rgb", "rgb2rgb")
+    data.add_argument("--task", choices=tasks, default="raw2raw", help=text)
     check = parser.add_argument_group("validation")
     check.add_argument("--validate", metavar="SET", help="eld, or the manifest (*.csv) of a set in its layout")
     check.add_argument("--root", metavar="R", help="folder that holds that set (default: $ELDATA_ROOT, else ./data)")
-    check.add_argument(
-        "--validate-every", type=int, default=10, metavar="EPOCHS", help="and at the end (default: %(default)s)"
-    )
+    text = "and at the end (default: %(default)s)"
+    check.add_argument("--validate-every", type=int, default=10, metavar="EPOCHS", help=text)
     check.add_argument("--protocol", metavar="P", help="default: eld; of a task to sRGB eld-raw2rgb or eld-rgb2rgb")
     return parser
 
@@ -333,17 +319,10 @@ def program(
     documented: str, run: Callable[[argparse.Namespace], int]
 ) -> tuple[console.Parser, argparse._ArgumentGroup]:
     """Make a training's parser, its help from a docstring, and the group of its data options."""
-    parser = console.document(
-        console.Parser(prog=(prog := documented.split("`")[1]), usage=f"{prog} [options]"), documented
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        default="run",
-        metavar="RUN",
-        help="folder of this training (default: %(default)s); the same command goes on with it",
-    )
+    prog = documented.split("`")[1]
+    parser = console.document(console.Parser(prog=prog, usage=f"{prog} [options]"), documented)
+    text = "folder of this training (default: %(default)s); the same command goes on with it"
+    parser.add_argument("-o", "--output", type=Path, default="run", metavar="RUN", help=text)
     interrupted = "nothing was saved; the same command begins again, or goes on with what {output} had before"
     parser.set_defaults(run=run, command=parser.prog, interrupted=interrupted, running=["debug"])
     return parser, parser.add_argument_group("data")
@@ -353,37 +332,27 @@ def add_training_options(parser: argparse.ArgumentParser, data: argparse._Argume
     """Add the options of both trainings: noise, crops and training; return the group of the last."""
     default = "(default: %(default)s)"
     data.add_argument("--camera", nargs="+", metavar="NAME", help="whose noise is made: shipped profiles, or files")
-    data.add_argument(
-        "--noise", default="P*+G*+B+R+U", metavar="MODEL", help=f"a spec, or package.module:name of yours {default}"
-    )
-    data.add_argument(
-        "--range-dn", type=float, metavar="DN", help="the noise's camera: white minus black, for --clean of others"
-    )
+    text = f"a spec, or package.module:name of yours {default}"
+    data.add_argument("--noise", default="P*+G*+B+R+U", metavar="MODEL", help=text)
+    text = "the noise's camera: white minus black, for --clean of others"
+    data.add_argument("--range-dn", type=float, metavar="DN", help=text)
     data.add_argument("--dark-frames", metavar="STORE", help="packed bias frames, for the specs with D")
     data.add_argument("--iso", type=float, nargs="+", help="these alone, drawn alike (default: the gain is drawn)")
-    data.add_argument(
-        "--ratio",
-        type=float,
-        nargs=2,
-        default=(100.0, 300.0),
-        metavar=("A", "B"),
-        help="low-light factors, from A to B (default: 100 300)",
-    )
-    data.add_argument(
-        "--input-clip", choices=("both", "upper", "none"), default="both", help=f"where the input is cut {default}"
-    )
-    data.add_argument(
-        "--levels", choices=("published", "metadata"), default="published", help=f"white 16383, or the file's {default}"
-    )
+    text = "low-light factors, from A to B (default: 100 300)"
+    data.add_argument("--ratio", type=float, nargs=2, default=(100.0, 300.0), metavar=("A", "B"), help=text)
+    text = f"where the input is cut {default}"
+    data.add_argument("--input-clip", choices=("both", "upper", "none"), default="both", help=text)
+    text = f"white 16383, or the file's {default}"
+    data.add_argument("--levels", choices=("published", "metadata"), default="published", help=text)
     data.add_argument("--crop", type=int, default=512, metavar="PX", help=f"side in packed pixels {default}")
     how = parser.add_argument_group("training")
     how.add_argument("--epochs", type=int, default=200, metavar="N", help=f"the schedule is scaled to them {default}")
     how.add_argument("--batch-size", type=int, default=1, metavar="N", help=f"per process {default}")
     how.add_argument("--learning-rate", type=float, default=1e-4, metavar="RATE", help=f"of Adam, at first {default}")
     how.add_argument("--width", type=int, default=32, metavar="N", help=f"channels of the first level {default}")
-    how.add_argument(
-        "--precision", choices=("float32", "bfloat16", "float16"), default="float32", help=f"of the steps {default}"
-    )
+    how.add_argument("--depth", type=int, default=4, metavar="D", help=f"how often it halves the image {default}")
+    text = f"of the steps {default}"
+    how.add_argument("--precision", choices=("float32", "bfloat16", "float16"), default="float32", help=text)
     how.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help=f"where it trains {default}")
     how.add_argument("--workers", type=int, metavar="N", help="processes that load data (default: by CPUs and memory)")
     how.add_argument("--seed", type=int, default=0, metavar="S", help=f"of weights, order and noise {default}")

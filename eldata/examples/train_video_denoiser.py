@@ -89,31 +89,20 @@ def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:
 def parser() -> console.Parser:
     """Make the command line's parser."""
     parser, data = program(__doc__, run)
-    data.add_argument(
-        "--clean", metavar="CLEAN", help="clean clips: a folder with a folder of raws for each, or the store of such"
-    )
+    text = "clean clips: a folder with a folder of raws for each, or the store of such"
+    data.add_argument("--clean", metavar="CLEAN", help=text)
     data.add_argument("--still", action="store_true", help="--clean has single frames: clips in which nothing moves")
     how = add_training_options(parser, data)
-    data.add_argument(
-        "--clips", metavar="CLIPS", help="static clips with a reference: a packed store, or a folder of DRV's raws"
-    )
+    text = "static clips with a reference: a packed store, or a folder of DRV's raws"
+    data.add_argument("--clips", metavar="CLIPS", help=text)
     data.add_argument("--rgb", action="store_true", help="the folder is DRV as its authors preprocessed it")
     data.add_argument("--split", metavar="NAME", help="of --clips, such as train (default: all)")
     data.add_argument("--ids", nargs="+", metavar="ID", help="of --clips, such as 0001 0004 (default: all)")
     data.add_argument("--crops-per-clip", type=int, default=1, metavar="N", help="in an epoch (default: %(default)s)")
-    how.add_argument(
-        "--frames",
-        type=int,
-        default=5,
-        metavar="T",
-        help="that the network takes for the middle one, an odd number (default: %(default)s)",
-    )
-    how.add_argument(
-        "--depth", type=int, default=4, metavar="D", help="how often it halves the image (default: %(default)s)"
-    )
-    how.add_argument(
-        "--consistency", type=float, default=0.05, metavar="W", help="its weight in the loss (default: %(default)s)"
-    )
+    text = "that the network takes for the middle one, an odd number (default: %(default)s)"
+    how.add_argument("--frames", type=int, default=5, metavar="T", help=text)
+    text = "its weight in the loss (default: %(default)s)"
+    how.add_argument("--consistency", type=float, default=0.05, metavar="W", help=text)
     parser.set_defaults(levels="metadata")  # as the protocols of clips have it
     return parser
 

@@ -38,8 +38,6 @@ CHANNELS = {
 """How many channels packed frames may have, by a card's word for their colour filter array."""
 CFA_WORDS = tuple(CHANNELS)
 
-_UNSTATED = {"", "not stated", "none stated", "unknown"}
-
 
 @dataclass(frozen=True, slots=True)
 class Download:
@@ -211,11 +209,6 @@ class Card:
     unknown: tuple[str, ...] = ()
 
 
-def stated(text: str) -> str:
-    """Return a card's text; empty if the text is ``not stated`` or the like."""
-    return "" if text.strip().lower() in _UNSTATED else text.strip()
-
-
 def find_subset(subsets: Sequence[Subset], name: str) -> Subset:
     """Return a subset by name.
 
@@ -325,14 +318,8 @@ def _read_mosaic(entry: Fields) -> MosaicFacts:
     black = entry.each("black_level_dn", Fields.number, expected=levels, fewest=1, at_least=0)
     if len(black) not in (1, 4):
         raise entry.wrong("black_level_dn", levels, list(black))
-    return _read(
-        entry,
-        MosaicFacts,
-        *("paths", "cameras"),
-        cfa=entry.choice("cfa", MOSAIC_CFAS),
-        black_level_dn=black,
-        white_level_dn=entry.number("white_level_dn", above=max(black)),
-    )
+    cfa, white = entry.choice("cfa", MOSAIC_CFAS), entry.number("white_level_dn", above=max(black))
+    return _read(entry, MosaicFacts, "paths", "cameras", cfa=cfa, black_level_dn=black, white_level_dn=white)
 
 
 def save_card(path: Path, card: Card) -> None:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.files import atomic_write, encoded, inside, visible_below
 from eldata.errors import ArgumentError, EldataError, ManifestError, did_you_mean
-from eldata.manifest.card import Card, card_text, counts_of, load_card
+from eldata.manifest.card import Card, card_text, counts_of, load_card, save_card
 from eldata.manifest.patterns import expand, is_pattern, matching
 from eldata.manifest.table import load_table, table_text
 from eldata.raw.stated import StatedFile
@@ -60,8 +60,7 @@ class FrameFiles:
             return cls(folder)
         stated = {}
         for record in expand(tuple(records), folder):
-            facts = mosaic_facts(card.mosaics, record)
-            if facts is not None:
+            if (facts := mosaic_facts(card.mosaics, record)) is not None:
                 stated[record.path] = facts, Exposure(record.iso, record.exposure_s)
         return cls(folder, stated)
 
@@ -183,8 +182,7 @@ def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None)
     rows, facts = contents or (None, None)
     records, digest = load_table(path, rows)
     card = load_card(path.with_suffix(".json"), facts)
-    unknown = {record.camera for record in records} - card.cameras.keys()
-    if unknown:
+    if unknown := {record.camera for record in records} - card.cameras.keys():
         record = next(record for record in records if record.camera in unknown)
         known = ", ".join(card.cameras)
         raise ManifestError(f"{path}, {record.path}: camera {record.camera!r} is not on the card, which has {known}")
@@ -208,15 +206,14 @@ def save_manifest(path: Path | str, card: Card, records: Iterable[FrameRecord]) 
         If a file cannot be written.
     """
     path = Path(path)
-    table, facts = encoded(table_text(path, records)), encoded(card_text(card))
-    manifest = load_manifest(path, (table, facts))
+    table = encoded(table_text(path, records))
+    manifest = load_manifest(path, (table, encoded(card_text(card))))
     with atomic_write(path) as rows:
         rows.write(table)
         rows.flush()
         os.fsync(rows.fileno())
         if _find_card(path) != card:
-            with atomic_write(path.with_suffix(".json")) as file:
-                file.write(facts)
+            save_card(path.with_suffix(".json"), card)
     return manifest
 
 

@@ -224,8 +224,7 @@ def _of_ids(chosen: Iterable[FrameRecord], every: Iterable[FrameRecord], ids: Co
     """Return the chosen rows whose clips, or sequences, have these names."""
     clips_in: dict[str, list[str]] = defaultdict(list)
     for row in every:
-        moment = moment_of(row.scene)
-        if moment is not None:
+        if (moment := moment_of(row.scene)) is not None:
             clips_in[moment[0]].append(setting_name(row))
     wanted = ids if isinstance(ids, str) else [name for one in ids for name in clips_in.get(one, [one])]
     by_name = [[replace(row, scene=setting_name(row)) for row in rows] for rows in (chosen, every)]
@@ -330,21 +329,12 @@ def windows(clip: Clip, *, length: int, stride: int, frames: FrameRange) -> list
     if length < 1 or stride < 1:
         raise ArgumentError(f"window and stride must be 1 or more; found {length}, {stride}")
     inside = frame_range(frames, len(clip.frames))
+    place, facts = (clip.camera, clip.scene, clip.split), (clip.iso, clip.ratio, clip.flags)
     found = [
-        ClipRecord(
-            clip.frames[start : start + length],
-            start,
-            clip.references[start] if clip.references else clip.reference,
-            clip.camera,
-            clip.scene,
-            clip.split,
-            clip.references[start : start + length],
-            clip.iso,
-            clip.ratio,
-            clip.flags,
-        )
+        ClipRecord(clip.frames[start:stop], start, next(iter(own), clip.reference), *place, own, *facts)
         for start in range(inside.start, inside.stop - length + 1, stride)
-        if clip.continuous(start, start + length)
+        for stop, own in [(start + length, clip.references[start : start + length])]
+        if clip.continuous(start, stop)
     ]
     if not found:
         raise DatasetError(

@@ -99,25 +99,18 @@ def eld_records(
             reference_iso = None if camera.reference_iso is None else Fraction(camera.reference_iso)
             reference_exposure_s = (camera.reference_exposure_s or {}).get(scene)
             frame = partial(FrameRecord, camera=camera.name, scene=f"scene-{scene}", split="test")
+            path_of = partial(frame_path, camera, scene)
             reference = partial(frame, role="reference", iso=reference_iso, exposure_s=reference_exposure_s)
-            rows += [reference(path=frame_path(camera, scene, number)) for number in REFERENCE_NUMBERS]
+            rows += [reference(path_of(number)) for number in REFERENCE_NUMBERS]
             for i, iso in enumerate(NOISY_ISOS):
                 for k, factor in enumerate(LOW_LIGHT_FACTORS):
                     number = 5 * i + 2 + k
                     exposure_s = None
                     if reference_iso is not None and reference_exposure_s is not None:
                         exposure_s = reference_iso * reference_exposure_s / (iso * factor)
-                    nearest = min(REFERENCE_NUMBERS, key=lambda reference: abs(reference - number))
-                    rows.append(
-                        frame(
-                            path=frame_path(camera, scene, number),
-                            role="noisy",
-                            iso=Fraction(iso),
-                            exposure_s=exposure_s,
-                            ratio=Fraction(factor),
-                            reference=frame_path(camera, scene, nearest),
-                        )
-                    )
+                    nearest = path_of(min(REFERENCE_NUMBERS, key=lambda reference: abs(reference - number)))
+                    noisy = partial(frame, path_of(number), "noisy", reference=nearest)
+                    rows.append(noisy(iso=Fraction(iso), exposure_s=exposure_s, ratio=Fraction(factor)))
     flagged = [replace(row, flags=flags[row.path]) if flags and row.path in flags else row for row in rows]
     return tuple(sorted(flagged, key=lambda row: row.path))
 

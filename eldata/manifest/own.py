@@ -250,8 +250,7 @@ def _describe_unreadable(path: str, error: Exception) -> Problem:
 
 def _sort_scene(scene: str, frames: Sequence[_Frame], reference: str | None) -> tuple[list[FrameRecord], list[Problem]]:
     """Return the rows of one camera's frames of a scene, or the problems that keep them from being sorted."""
-    unstated = [frame for frame in frames if not frame.light]
-    if unstated:
+    if unstated := [frame for frame in frames if not frame.light]:
         expected, advice = "ISO and exposure time in EXIF", f"use the original, {_BY_HAND}"
         return [], [row_fault(frame.path, "exposure", expected, "not both", advice) for frame in unstated]
     brightest = max(frames, key=lambda frame: frame.light)

@@ -150,8 +150,7 @@ def cell_text(value: object) -> str:
 
 def _parse_path(text: str) -> str:
     """Return a cell's path; refuse an unsafe one."""
-    problem = path_problem(text)
-    if problem is not None:
+    if (problem := path_problem(text)) is not None:
         raise ArgumentError(f"{shown(text)} {problem}")
     return text
 

@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.arrays import NpyError, read_npz
+from eldata.base.arrays import read_array
 from eldata.base.fields import Fields, TextFile, names_of
-from eldata.base.files import atomic_write, file_problem, json_text
+from eldata.base.files import atomic_write, json_text
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, DatasetError, ShadingError
 from eldata.raw.levels import packed_channels
@@ -351,16 +351,10 @@ class DarkShading:
             If it cannot be read, is damaged, or is not the file of a dark shading.
         """
         path = Path(path)
-        if (problem := file_problem(path)) is not None:
-            raise ShadingError(path, problem)
         try:
             shading, stated = _read(path)
-        except NpyError as error:
-            raise ShadingError(path, f"is not the file of a dark shading: {error}; {_ADVICE}") from error
-        except (ArgumentError, ValueError) as error:
+        except ArgumentError as error:
             raise ShadingError(path, f"{error}; {_ADVICE}") from error
-        except OSError as error:
-            raise ShadingError(path, f"cannot be read: {error.strerror or error}") from error
         if stated != shading.digest:
             raise ShadingError(
                 path, f"field digest: expected {shading.digest} by the content, found {shown(stated)}; {_ADVICE}"
@@ -378,9 +372,10 @@ def _read(path: Path) -> tuple[DarkShading, str]:
             fits = header.shape == shape or (not shape and header.shape <= (_MOST_ABOUT_BYTES,))
             if header.values != dtype or not fits:
                 expected = f"{dtype} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
-                raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
+                found = f"found {header.values} {header.shape}"
+                raise ShadingError(path, f"{name}: expected {expected}, {found}; {_ADVICE}")
 
-        return read_npz(path, name, check_header)
+        return read_array(path, check_header, name=name, kind=".npz", error=ShadingError, advice=_ADVICE)
 
     top = TextFile(path, ShadingError, _ADVICE, content=load_array("about", "uint8").tobytes()).json()
     has_model = top.schema(_SCHEMA, also=(_SCHEMA_WITH_MODEL,)) == _SCHEMA_WITH_MODEL

@@ -156,14 +156,8 @@ def draw_quantiles(
 
 def legend_above(axes: Axes, *, middle: float = 0.45, most: int = 4, handle: float = 1.4) -> None:
     """Put the legend above the axes, where no point can be, with ``most`` entries in a row, and the title above it."""
-    legend = axes.legend(
-        loc="lower center",
-        bbox_to_anchor=(middle, 1),
-        ncols=most,
-        columnspacing=1,
-        handlelength=handle,
-        handletextpad=0.4,
-    )
+    spaces = {"columnspacing": 1, "handlelength": handle, "handletextpad": 0.4}
+    legend = axes.legend(loc="lower center", bbox_to_anchor=(middle, 1), ncols=most, **spaces)
     if axes.get_title():
         rows = -(-len(legend.get_texts()) // most)
         axes.set_title(axes.get_title(), pad=8 + _LEGEND_ROW * rows)

@@ -69,13 +69,8 @@ def strips(axes: Axes, values: Sequence[Strip], theme: Theme) -> None:
     labels = [drawable(name, _LONGEST_LABEL) for name in groups]
     # A label is turned where it would touch the next: the axes are about 40 letters wide.
     turned = len(groups) > 1 and max(map(len, labels)) + 1 > _LETTERS_ACROSS / len(groups)
-    axes.set_xticklabels(
-        labels,
-        parse_math=False,
-        rotation=25 if turned else 0,
-        ha="right" if turned else "center",
-        rotation_mode="anchor",
-    )
+    turn: dict[str, Any] = {"rotation": 25, "ha": "right"} if turned else {"rotation": 0, "ha": "center"}
+    axes.set_xticklabels(labels, parse_math=False, rotation_mode="anchor", **turn)
     axes.grid(visible=False, axis="x")
     legend_of_factors(axes, ratios)
 

@@ -286,13 +286,8 @@ def _group_reproduction(record: IsoCalibration) -> dict[str, Any]:
         ("Row means, σ real", f"{digits(kept.row_sigma_real_dn)} DN"),
         ("Row means, σ simulated", f"{digits(kept.row_sigma_simulated_dn)} DN"),
     ]
-    return _group(
-        record,
-        title,
-        numbers,
-        plots=[drawn.reproduced_plot(record, kept)],
-        pictures=[drawn.reproduced_pictures(record, kept)],
-    )
+    plots, pictures = [drawn.reproduced_plot(record, kept)], [drawn.reproduced_pictures(record, kept)]
+    return _group(record, title, numbers, plots=plots, pictures=pictures)
 
 
 def _group_pattern(record: IsoCalibration) -> dict[str, Any]:

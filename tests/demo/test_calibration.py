@@ -170,22 +170,22 @@ FEW: dict[str, Any] = {"isos": TWO_ISOS, "bias_frames": 3, "flat_levels": 3, "si
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Manifest]:
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Manifest]:
     folder = tmp_path_factory.mktemp("calibration") / "new"
     return folder, make_calibration_frames(folder, **FEW, workers=Workers(executor=Travelling()))
 
 
 @pytest.fixture(scope="module")
-def truth(made: tuple[Path, Manifest]) -> dict[str, Any]:
-    read: dict[str, Any] = json.loads((made[0] / "truth.json").read_text())
+def truth(simulated: tuple[Path, Manifest]) -> dict[str, Any]:
+    read: dict[str, Any] = json.loads((simulated[0] / "truth.json").read_text())
     return read
 
 
 # --- files ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_manifest(made: tuple[Path, Manifest]) -> None:
-    folder, manifest = made
+def test_the_manifest(simulated: tuple[Path, Manifest]) -> None:
+    folder, manifest = simulated
     assert load_manifest(folder / "manifests" / "calibration-demo.csv") == manifest
     report = verify([manifest], folder / "data", level="full")
     assert report.ok
@@ -199,9 +199,9 @@ def test_the_manifest(made: tuple[Path, Manifest]) -> None:
         assert (record.height, record.width) == SIZE
 
 
-def test_each_frame_has_its_own_seed(made: tuple[Path, Manifest], truth: dict[str, Any]) -> None:
+def test_each_frame_has_its_own_seed(simulated: tuple[Path, Manifest], truth: dict[str, Any]) -> None:
     """The specimen is [seed, 0]; the frames of the ISO at index i are [seed, 1 + i, 0, 1, ...], bias then flats."""
-    folder = made[0] / "data" / "calibration" / "DemoGamma"
+    folder = simulated[0] / "data" / "calibration" / "DemoGamma"
     sensor = replace(DEMO_GAMMA.sensor, height=SIZE[0], width=SIZE[1])
     body, noise = Body(sensor, DEMO_FEATURES, np.random.default_rng([0, 0])), DEMO_GAMMA.noise_at(800)
     level = truth["isos"][1]["flats"][2]["mean_level_dn"] / truth["mean_light"]

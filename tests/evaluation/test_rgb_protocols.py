@@ -70,7 +70,7 @@ def score_of(own: OwnSet, pair: PairRecord, output: NDArray[Any]) -> published_c
 
 
 @pytest.fixture(scope="module")
-def given(own: OwnSet) -> dict[str, NDArray[np.float32]]:
+def renderings(own: OwnSet) -> dict[str, NDArray[np.float32]]:
     """A prediction of each pair, which lies in the folder of the set's."""
     paths = [path.relative_to(own.files).as_posix() for path in own.files.rglob("x*.dng")]
     images = {path: shown(own, f"{path[:2]}/clean.dng", path) for path in paths}
@@ -79,22 +79,22 @@ def given(own: OwnSet) -> dict[str, NDArray[np.float32]]:
     return images
 
 
-def test_predictions_of_three_channels(own: OwnSet, given: dict[str, NDArray[np.float32]]) -> None:
+def test_predictions_of_three_channels(own: OwnSet, renderings: dict[str, NDArray[np.float32]]) -> None:
     """Other forms come to the same arrays (``test_predictions``)."""
     for name in WAYS:
         result = evaluate(own.predictions, **own.where, protocol=name)
-        assert_equal(result, lambda pair: score_of(own, pair, given[pair.path]))
+        assert_equal(result, lambda pair: score_of(own, pair, renderings[pair.path]))
 
 
 @pytest.mark.parametrize("name", WAYS)
 def test_the_input_is_the_amplified_frame_in_its_own_colours(name: str, own: OwnSet) -> None:
     result = evaluate(None, **own.where, protocol=name, baseline="input")
-    given = {}
+    renderings = {}
     for pair in result.units:
         noisy, reference = own.files / pair.path, own.files / str(pair.reference)
         amplified = packed(noisy, published_code.ratio_by_exif(noisy, reference))
-        given[pair.path] = published_code.eld_rendered(amplified, noisy)
-    assert_equal(result, lambda pair: score_of(own, pair, given[pair.path]))
+        renderings[pair.path] = published_code.eld_rendered(amplified, noisy)
+    assert_equal(result, lambda pair: score_of(own, pair, renderings[pair.path]))
 
 
 # --- predicting -------------------------------------------------------------------------------------------------------
@@ -161,7 +161,7 @@ RESPONSES: dict[str, published_code.Response] = {
 
 
 def test_a_protocol_states_its_response_curve(
-    own: OwnSet, given: dict[str, NDArray[np.float32]], tmp_path: Path
+    own: OwnSet, renderings: dict[str, NDArray[np.float32]], tmp_path: Path
 ) -> None:
     """Of predictions in sRGB, of rendered raw ones and of the input; the digest is of the curve, not of its file."""
     digests = []
@@ -186,7 +186,7 @@ def test_a_protocol_states_its_response_curve(
                         score = published_code.eld_rgb_score
                         output = published_code.eld_rendered(output, noisy, response)
                     if is_of_files:
-                        output = given[pair.path]
+                        output = renderings[pair.path]
                     wanted = score(output, packed(reference), reference, response)
                     found = (image.psnr_db, image.ssim)
                     assert found == pytest.approx((wanted.psnr_db, wanted.ssim), abs=1e-6, rel=0), (base, stated)

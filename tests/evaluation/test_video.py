@@ -198,7 +198,7 @@ SIZE = (256, 384)
 FRAMES = ((100, None), (800, 1), (800, 1), (800, 100), (800, 100), (100, None))
 
 
-def seen(scene: int, moment: int) -> NDArray[np.float32]:
+def picture_of(scene: int, moment: int) -> NDArray[np.float32]:
     """Return what stands before the camera: a striped thing that moves by 17 pixels from moment to moment."""
     picture = scene_radiance(scene, *SIZE).copy()
     rows, columns = np.mgrid[:64, :48]
@@ -208,7 +208,7 @@ def seen(scene: int, moment: int) -> NDArray[np.float32]:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two sequences of four moments."""
     folder = tmp_path_factory.mktemp("film")
     camera = CAMERAS[0].with_size(*SIZE)
@@ -216,7 +216,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for scene in (1, 2):
         for moment in range(1, MOMENTS + 1):
             name = f"scene-{scene}-moment-{moment}"
-            picture = seen(scene, moment)
+            picture = picture_of(scene, moment)
             for number, (iso, factor) in enumerate(FRAMES, 1):
                 path = f"{camera.name}/{name}/IMG_{number:04d}.dng"
                 exposure_s = Fraction(4) if factor is None else Fraction(4 * 100, iso * factor)
@@ -235,11 +235,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_sequences_are_scored_as_film(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sequences_are_scored_as_film(film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each frame with its own reference by the ELD code's metrics, and ST-RRED of the two films."""
-    monkeypatch.chdir(made)
+    monkeypatch.chdir(film)
     assert main(["verify", MANIFEST, "--root", "data", "--level", "full", "--jobs", "1"]) == 0
-    folder = made / "data" / "Mine"
+    folder = film / "data" / "Mine"
     dataset = DRVDataset(folder, form="raw", manifest=MANIFEST, window=MOMENTS)
     assert len(dataset) == 2 * 2 * 2  # sequences, factors, repeats
     result = evaluate(None, manifest=MANIFEST, root="data", baseline="input")
@@ -271,20 +271,20 @@ def exposure(path: Path) -> Fraction:
     return found.iso * found.exposure_s
 
 
-def test_predictions_of_photographs_are_those_of_the_film(made: Path, tmp_path: Path) -> None:
+def test_predictions_of_photographs_are_those_of_the_film(film: Path, tmp_path: Path) -> None:
     """One folder, scored as pairs and as film; each frame's own reference is the perfect prediction."""
     dataset = DRVDataset(
-        made / "data" / "Mine", form="raw", manifest=made / MANIFEST, window=MOMENTS, cameras=["DemoAlpha"]
+        film / "data" / "Mine", form="raw", manifest=film / MANIFEST, window=MOMENTS, cameras=["DemoAlpha"]
     )
     for record, sample in zip(dataset.records, dataset, strict=True):
         assert sample["input"].shape == sample["target"].shape == (MOMENTS, 4, 128, 192)
         assert len({target.numpy().tobytes() for target in sample["target"]}) == MOMENTS
         for place, path in enumerate(save_clip_prediction(tmp_path, record, sample["target"].numpy())):
             assert path == tmp_path / Path(record.frames[place]).with_suffix(".npy")
-            with rawpy.imread(str(made / "data" / "Mine" / record.references[place])) as raw:
+            with rawpy.imread(str(film / "data" / "Mine" / record.references[place])) as raw:
                 expected = published_code.eld_frame(raw, white=None)
             np.testing.assert_allclose(sample["target"][place].numpy(), expected, atol=1e-6)
-    options: dict[str, Any] = {"manifest": made / MANIFEST, "root": made / "data"}
+    options: dict[str, Any] = {"manifest": film / MANIFEST, "root": film / "data"}
     film_scores = evaluate(tmp_path, **options)
     assert (film_scores.psnr_db, film_scores.ssim, film_scores.whole.values["st_rred"]) == (math.inf, 1.0, 0.0)
     assert any("equals the reference exactly: 8 videos" in note for note in film_scores.notes)
@@ -300,12 +300,12 @@ def test_predictions_of_photographs_are_those_of_the_film(made: Path, tmp_path: 
     ]
 
 
-def test_part_of_the_clips(made: Path) -> None:
-    folder = made / "data" / "Mine"
-    some = DRVDataset(folder, form="raw", manifest=made / MANIFEST, window=2, stride=1, ratios=[100], ids=["scene-1"])
+def test_part_of_the_clips(film: Path) -> None:
+    folder = film / "data" / "Mine"
+    some = DRVDataset(folder, form="raw", manifest=film / MANIFEST, window=2, stride=1, ratios=[100], ids=["scene-1"])
     assert {clip.scene for clip in some.clips} == {f"DemoAlpha/scene-1/ISO800-x100{repeat}" for repeat in ("", "-2")}
     assert len(some) == 2 * (MOMENTS - 1)
     assert [record.start for record in some.records[:3]] == [0, 1, 2]
     assert some.records[1].reference == some.records[1].references[0]
     with pytest.raises(ArgumentError, match="no clip has scene scene-3; known are DemoAlpha/scene-1/ISO800-x1"):
-        DRVDataset(folder, form="raw", manifest=made / MANIFEST, ids=["scene-3"])
+        DRVDataset(folder, form="raw", manifest=film / MANIFEST, ids=["scene-3"])

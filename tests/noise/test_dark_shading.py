@@ -115,7 +115,7 @@ def test_other_and_damaged_files_are_refused(shading: DarkShading, tmp_path: Pat
     path = tmp_path / "s.npz"
     assert "cannot be read: No such file" in refused(path)
     path.write_bytes(b"PK\x03\x04 and nothing else")
-    assert "is not a whole npz archive; write it again with eldata calibrate --dark-shading" in refused(path)
+    assert "(is not a whole npz archive); write it again with eldata calibrate --dark-shading" in refused(path)
     np.savez(path, prediction=np.zeros(3))
     assert "about: expected up to 1048576 bytes" in refused(path)
     shading.save(path)

@@ -92,9 +92,9 @@ def predictions(folder: Path) -> None:
 
 
 def calibration_frames(folder: Path) -> None:
-    from tests.calibration.trees import made_tree
+    from tests.calibration.trees import make_tree
 
-    made_tree(folder / "frames", isos=(100,), bias_frames=4, flat_levels=2)
+    make_tree(folder / "frames", isos=(100,), bias_frames=4, flat_levels=2)
 
 
 def memory_card(folder: Path) -> None:

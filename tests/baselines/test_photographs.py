@@ -124,17 +124,19 @@ def test_where_the_noise_is_known_from(tmp_path: Path) -> None:
     source = tmp_path / "a.dng"
     photograph(source, sensor_of())
     assert read_raw(source).noise_profile is None
-    made = {"photograph itself": denoise_file(source, tmp_path / "1.dng", method="dct")}
-    profile, another = CameraProfile.load("SonyA7S2"), {"profile_of_another_camera": True}
+    outcomes = {"photograph itself": denoise_file(source, tmp_path / "1.dng", method="dct")}
+    profile = CameraProfile.load("SonyA7S2")
     with pytest.raises(ArgumentError, match="no profile of the camera Nocturne 1 was given, only of SonyA7S2"):
         denoise_file(source, tmp_path / "2.dng", profile, method="dct")
-    made["profile of SonyA7S2, another camera"] = denoise_file(
-        source, tmp_path / "2.dng", profile, method="dct", **another
+    outcomes["profile of SonyA7S2, another camera"] = denoise_file(
+        source, tmp_path / "2.dng", profile, method="dct", profile_of_another_camera=True
     )
     frame = read_raw(source)
     for model in ("ILCE-7SM2", "sonya7s2"):  # as cards that ship have it, and as a profile of one's own
         named = replace(frame, sensor=replace(frame.sensor, model=model))
-        assert np.array_equal(denoise(named, profile, method="dct"), denoise(frame, profile, method="dct", **another))
+        assert np.array_equal(
+            denoise(named, profile, method="dct"), denoise(frame, profile, method="dct", profile_of_another_camera=True)
+        )
     # By the specification: variance = S x + O of shares of white, a pair for each colour plane.
     span = WHITE_DN - 512
     stated = np.array([GAIN / span * share for share in (0.9, 1.0, 1.1)])
@@ -142,8 +144,8 @@ def test_where_the_noise_is_known_from(tmp_path: Path) -> None:
     add_tags(source, (51041, "d", 6, tuple(pairs), True))
     noise = read_raw(source).noise_profile
     assert noise == pytest.approx((GAIN / span, (SIGMA_DN / span) ** 2))
-    made["NoiseProfile"] = denoise_file(source, tmp_path / "3.dng", method="dct")
-    for words, result in made.items():
+    outcomes["NoiseProfile"] = denoise_file(source, tmp_path / "3.dng", method="dct")
+    for words, result in outcomes.items():
         assert words in result.noise
     by_itself, stated_file = (read_raw(tmp_path / f"{name}.dng").mosaic.astype(float) for name in (1, 3))
     assert np.abs(by_itself - stated_file).mean() < 1.0  # DN: both are right

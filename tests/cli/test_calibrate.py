@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eldata.noise import CameraProfile, DarkShading
-from tests.calibration.trees import CAMERA, SIZE, FrameTree, made_tree, relative, rewritten
+from tests.calibration.trees import CAMERA, SIZE, FrameTree, make_tree, relative, rewritten
 from tests.cases import in_one_test
 from tests.cli.test_usage import assert_one_line
 
@@ -26,7 +26,7 @@ ISOS = (100, 400, 1600)
 @pytest.fixture(scope="module")
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
     """Three ISOs, four bias frames and two pairs of flats each. Not to be changed."""
-    return made_tree(tmp_path_factory.mktemp("calibrate") / "tree", isos=ISOS, bias_frames=4, flat_levels=2)
+    return make_tree(tmp_path_factory.mktemp("calibrate") / "tree", isos=ISOS, bias_frames=4, flat_levels=2)
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.table import load_records
 from eldata.records import FrameRecord
-from tests.calibration.trees import CAMERA, FrameTree, made_tree, named
+from tests.calibration.trees import CAMERA, FrameTree, make_tree, named
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,7 +29,7 @@ SIZE = (64, 96)  # these tests measure nothing
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
     """Two ISOs, three bias frames and two pairs of flats each. Not to be changed."""
     folder = tmp_path_factory.mktemp("calibration") / "tree"
-    return made_tree(folder, isos=ISOS, bias_frames=3, flat_levels=2, size=SIZE)
+    return make_tree(folder, isos=ISOS, bias_frames=3, flat_levels=2, size=SIZE)
 
 
 @pytest.fixture

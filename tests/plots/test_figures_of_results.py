@@ -24,7 +24,7 @@ from eldata.plots.axes import LIGHT, MARKERS
 from eldata.plots.pictures import side_by_side
 from eldata.protocols import PROTOCOLS
 from eldata.raw import read_raw
-from tests.calibration.trees import CAMERA, made_tree
+from tests.calibration.trees import CAMERA, make_tree
 from tests.drv_tree import small_drv
 from tests.reports.calibrations import calibration, camera_at, measured
 from tests.reports.evaluations import result
@@ -389,7 +389,7 @@ def test_a_clip_shows_its_first_frame(tmp_path: Path) -> None:
 
 
 def test_calibration_frames_are_drawn_in_dn(tmp_path: Path) -> None:
-    made = made_tree(tmp_path, isos=(100,), bias_frames=1, flat_levels=2, size=(48, 64))
+    made = make_tree(tmp_path, isos=(100,), bias_frames=1, flat_levels=2, size=(48, 64))
     frames = CalibrationFrames(made.root, CAMERA)
     index = len(frames) - 1
     figure = frames.plot(index)

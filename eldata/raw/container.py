@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
 
 _FIRST_YEAR = 1990  # no camera wrote raw files before: an earlier time is of a clock that was never set
 # By EXIF's SensitivityType, which says which of them the ISO repeats.
@@ -308,7 +310,7 @@ class StoredRows:
 
     LibRaw takes all strips for one run of bytes that begins where the first does, whatever their offsets and byte
     counts say, and a single tile for rows of the image. :meth:`rearrange` gives it the same file with its rows in one
-    run, :meth:`shorten` one with few rows.
+    run, or with few rows, for who asks what else it states.
 
     Attributes
     ----------
@@ -344,29 +346,18 @@ class StoredRows:
         """Whether its blocks are strips that follow one another without a gap."""
         return self.block_bytes == self.row_bytes and _are_one_run([block[2:] for block in self.blocks])
 
-    def rearrange(self, content: bytes | bytearray) -> bytes:
-        """Append the rows, in order, to a copy of the file's bytes, as its only strip."""
-        image = np.empty((self.main.shape[0], self.row_bytes), np.uint8)
-        for top, left, offset, length in self.blocks:
-            block = np.frombuffer(content, np.uint8, length, offset).reshape(-1, self.block_bytes)
-            part = image[top : top + len(block), left : left + self.block_bytes]
-            part[:] = block[:, : part.shape[1]]
-        copy = bytearray(content)
-        self._state_strip(copy, len(copy), image.size)
-        return bytes(copy) + image.tobytes()
+    def rearrange(self, path: Path, *, short: bool) -> tuple[mmap.mmap, int | None]:
+        """Copy the file with its rows, in order, as its only strip, behind all else; if ``short`` a few rows of zeros.
 
-    def shorten(self, path: Path) -> tuple[mmap.mmap, int | None]:
-        """Make a copy of the file whose mosaic has its first rows alone, all 0, for who asks what else the file states.
-
-        It has so many rows less that no pattern of a CFA or of black levels changes its phase at the bottom. Its memory
+        It has so many rows less that no pattern of a CFA or of black levels changes its phase at the bottom. The copy
         is sparse, and comes with its descriptor, to be closed, where the system has such files without a name.
         """
         (height, _), size = self.main.shape, path.stat().st_size
         area = self.main.values.get(tiff.ACTIVE_AREA, (0, 0, height, 0))
-        least = min(height, _ROWS_TO_KNOW + height - int(area[2] - area[0]))
+        least = min(height, _ROWS_TO_KNOW + height - int(area[2] - area[0])) if short else height
         less = (height - least) // _PHASES * _PHASES
         length = size + (height - less) * self.row_bytes
-        descriptor = os.memfd_create("eldata-short") if hasattr(os, "memfd_create") else None
+        descriptor = os.memfd_create("eldata-copy") if hasattr(os, "memfd_create") else None
         if descriptor is not None:
             os.ftruncate(descriptor, length)
         copy, at = mmap.mmap(-1 if descriptor is None else descriptor, length), 0
@@ -376,26 +367,30 @@ class StoredRows:
                     file.seek(at)
                     copy[at:offset] = file.read(offset - at)
                 at = max(at, offset + held)
-        for tag in self.main.entries.keys() & {tiff.HEIGHT, tiff.ROWS_PER_STRIP}:
+        if not short:
+            self._copy_rows(path, np.ndarray((height, self.row_bytes), np.uint8, copy, size))
+        for tag in (self.main.entries.keys() & {tiff.HEIGHT, tiff.ROWS_PER_STRIP}) if less else ():
             self._state(copy, tag, tag, height - less)
         if less and tiff.ACTIVE_AREA in self.main.entries:
             entry, kind = self.main.entries[tiff.ACTIVE_AREA]
             (at,) = struct.unpack_from(f"{self.main.order}I", copy, entry + 8)
             code, width = ("H", 2) if kind == tiff.SHORT else ("I", 4)
             struct.pack_into(self.main.order + code, copy, at + 2 * width, int(area[2]) - less)
-        self._state_strip(copy, size, length - size)
+        used = tiff.TILES if tiff.TILES[0] in self.main.values else tiff.STRIPS
+        for tag in self.main.entries.keys() & {*tiff.STRIPS, *_TILE_TAGS}:
+            struct.pack_into(f"{self.main.order}H", copy, self.main.entries[tag][0], _NO_TAG)
+        for tag, old, value in zip(tiff.STRIPS, used, (size, length - size), strict=True):
+            self._state(copy, old, tag, value)
         return copy, descriptor
 
-    def _state_strip(self, copy: bytearray | mmap.mmap, offset: int, length: int) -> None:
-        """State one strip, instead of all strips or tiles."""
-        entries = self.main.entries
-        used = tiff.TILES if tiff.TILES[0] in self.main.values else tiff.STRIPS
-        for tag in entries.keys() & {*tiff.STRIPS, *_TILE_TAGS}:
-            struct.pack_into(f"{self.main.order}H", copy, entries[tag][0], _NO_TAG)
-        for tag, old, value in zip(tiff.STRIPS, used, (offset, length), strict=True):
-            self._state(copy, old, tag, value)
+    def _copy_rows(self, path: Path, image: NDArray[np.uint8]) -> None:
+        """Copy all rows, as bytes, into an image (rows, bytes)."""
+        content = np.memmap(path, np.uint8, "r")
+        for top, left, offset, length in self.blocks:
+            part = image[top : top + length // self.block_bytes, left : left + self.block_bytes]
+            part[:] = content[offset : offset + length].reshape(-1, self.block_bytes)[:, : part.shape[1]]
 
-    def _state(self, copy: bytearray | mmap.mmap, old: int, tag: int, value: int) -> None:
+    def _state(self, copy: mmap.mmap, old: int, tag: int, value: int) -> None:
         """State a number in a tag, instead of what another tag states."""
         struct.pack_into(f"{self.main.order}HHII", copy, self.main.entries[old][0], tag, _LONG, 1, value)
 

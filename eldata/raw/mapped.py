@@ -3,8 +3,8 @@
 Nothing is decoded, so that a crop costs what it costs from a memory map. LibRaw has the last word: the first file of a
 form (:func:`form_of`) that a process reads is decoded by it too, and every pixel compared (:mod:`eldata.raw.reading`).
 
-A file is opened for each read and mapped as long as the part that was read is used: none stays open, and one that was
-replaced, cut off or written to since is refused before a pixel of it is touched.
+A process keeps the last few files mapped. One that was replaced, cut off or written to since it was opened is refused
+before a pixel of it is touched.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import mmap
 import os
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from eldata.raw.tiff import Order
 
 _WHOLE_BITS = 16
+_MOST_MAPPED = 16  # files of a process, a descriptor each: mapping one again takes a tenth of reading a crop
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +93,9 @@ class Layout:
         """
         first, last, _ = rows.indices(self.height)
         left, right, _ = columns.indices(self.width)
-        with self._open() as file:
-            content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        with _naming(self.path):
+            _check_version(self.path, self.version, self.path.stat())
+            content = _map(self.path, self.version)
         out = np.empty((max(0, last - first), max(0, right - left)), np.uint16)
         for block in self.blocks:
             y, x, offset, height = block
@@ -118,37 +121,47 @@ class Layout:
         width = self.block_bytes // 2
         if others or self.bits != _WHOLE_BITS:
             return self.read(slice(None), slice(None))
-        with self._open() as file:  # into new memory at once, which copies from a mapping would take four times as long
+        with _open(self.path, self.version) as file:  # not by mapping it, whose pages would take four times as long
             pixels = np.fromfile(file, f"{self.order}u2", height * width, offset=offset)
-        if pixels.size != height * width:
-            raise self._make_change_error(self.path.stat().st_size)
+            _check_version(self.path, self.version, os.fstat(file.fileno()))
         area = slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
         return np.ascontiguousarray(pixels.reshape(height, width)[area], np.uint16)
-
-    @contextmanager
-    def _open(self) -> Iterator[IO[bytes]]:
-        """Open the file; refuse another one than it was."""
-        try:
-            with self.path.open("rb", buffering=0) as file:
-                status = os.fstat(file.fileno())
-                if _version_of(status) != self.version:
-                    raise self._make_change_error(status.st_size)
-                yield file
-        except OSError as error:
-            raise RawFileError(self.path, f"cannot be read: {error.strerror or error}") from error
-
-    def _make_change_error(self, size: int) -> RawFileError:
-        """Make the error that the file, of this size, was changed."""
-        return RawFileError(
-            self.path,
-            f"was replaced or written to since it was opened (it had {self.version[0]} bytes and has {size} now); "
-            "begin again",
-        )
 
 
 def _version_of(status: os.stat_result) -> tuple[int, ...]:
     """Return the size and what else tells a file from another one under its name."""
     return status.st_size, status.st_mtime_ns, status.st_dev, status.st_ino
+
+
+def _check_version(path: Path, version: tuple[int, ...], status: os.stat_result) -> None:
+    """Refuse another file than it was."""
+    if _version_of(status) != version:
+        was = f"it had {version[0]} bytes and has {status.st_size} now"
+        raise RawFileError(path, f"was replaced or written to since it was opened ({was}); begin again")
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the file of which the system refuses something."""
+    try:
+        yield
+    except OSError as error:
+        raise RawFileError(path, f"cannot be read: {error.strerror or error}") from error
+
+
+@contextmanager
+def _open(path: Path, version: tuple[int, ...]) -> Iterator[IO[bytes]]:
+    """Open the file; refuse another one than it was."""
+    with _naming(path), path.open("rb", buffering=0) as file:
+        _check_version(path, version, os.fstat(file.fileno()))
+        yield file
+
+
+@lru_cache(maxsize=_MOST_MAPPED)
+def _map(path: Path, version: tuple[int, ...]) -> mmap.mmap:
+    """Map a file; the last ones stay mapped, and as long as a part that was read is used."""
+    with _open(path, version) as file:
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
 
 # --- what LibRaw has confirmed ----------------------------------------------------------------------------------------

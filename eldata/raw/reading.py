@@ -54,7 +54,7 @@ A remark is a sentence that says what was, or was not, done with a file that is 
 from __future__ import annotations
 
 import ctypes
-import io
+import mmap
 import os
 import struct
 from contextlib import contextmanager
@@ -80,8 +80,7 @@ from eldata.raw.stated import StatedFile
 from eldata.records import D65, RawFrame, Sensor, exact_number
 
 if TYPE_CHECKING:
-    import mmap
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import rawpy
     from numpy.typing import NDArray
@@ -400,13 +399,7 @@ def open_raw(file: RawContainer, what: str = "decode", *, short: bool = False) -
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
-        content = None if short else _mend(file)
-        if short and file.rows is not None:
-            _open_short(raw, file, file.rows)
-        elif content is None:
-            _open_file(raw, file.path)
-        else:
-            raw.open_buffer(io.BytesIO(content))
+        _open_corrected(raw, file, short=short)
         yield raw
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(file.path, "is not a raw file that LibRaw knows") from error
@@ -419,49 +412,36 @@ def open_raw(file: RawContainer, what: str = "decode", *, short: bool = False) -
         raw.close()
 
 
-def _mend(file: RawContainer) -> bytes | None:
-    """Correct a file's bytes for LibRaw; None if it reads them correctly as they are.
+def _open_corrected(raw: rawpy.RawPy, file: RawContainer, *, short: bool) -> None:
+    """Open a file in LibRaw: itself, or a copy that is corrected, or one that is short too.
 
-    It takes the bytes of a CFAPattern's 16-bit numbers for numbers, and strips for rows that follow one another.
+    LibRaw takes the bytes of a CFAPattern's 16-bit numbers for numbers, and strips for rows that follow one another.
     """
-    wide = _find_wide(file)
-    rows = None if not file.is_dng or file.rows is None or file.rows.are_found else file.rows
-    if not wide and rows is None:
-        return None
-    content = bytearray(file.path.read_bytes())
-    _narrow(wide, content)
-    return bytes(content) if rows is None else rows.rearrange(content)
-
-
-def _find_wide(file: RawContainer) -> list[Directory]:
-    """List the directories whose CFAPattern is of 16-bit numbers."""
-    return [image for image in file.directories if image.entries.get(tiff.CFA_PATTERN, (0, 0))[1] == tiff.SHORT]
-
-
-def _narrow(wide: Iterable[Directory], content: bytearray | mmap.mmap) -> None:
-    """Write CFAPatterns of 16-bit numbers as bytes."""
-    for directory in wide:
-        entry, _ = directory.entries[tiff.CFA_PATTERN]
-        numbers = bytes(min(int(number), 255) for number in directory.values[tiff.CFA_PATTERN])
-        struct.pack_into(f"{directory.order}HHI", content, entry, tiff.CFA_PATTERN, 1, len(numbers))
-        at = entry + 8
-        if len(numbers) > 4:
-            (at,) = struct.unpack_from(f"{directory.order}I", content, at)
-        content[at : at + len(numbers)] = numbers
-
-
-def _open_short(raw: rawpy.RawPy, file: RawContainer, rows: StoredRows) -> None:
-    """Open a copy of a file without most of its rows."""
-    content, descriptor = rows.shorten(file.path)
-    with content:
-        _narrow(_find_wide(file), content)
-        if descriptor is None:
-            raw.open_buffer(io.BytesIO(content))
-            return
+    wide = [image for image in file.directories if image.entries.get(tiff.CFA_PATTERN, (0, 0))[1] == tiff.SHORT]
+    rows, descriptor = file.rows, None
+    if rows is not None and (short or (file.is_dng and not rows.are_found)):
+        content, descriptor = rows.rearrange(file.path, short=short)
+    elif wide:
+        content = mmap.mmap(-1, file.path.stat().st_size)
+        content[:] = file.path.read_bytes()
+    else:
+        return _open_file(raw, file.path)
     try:
+        with content:
+            for directory in wide:
+                entry, _ = directory.entries[tiff.CFA_PATTERN]
+                numbers = bytes(min(int(number), 255) for number in directory.values[tiff.CFA_PATTERN])
+                struct.pack_into(f"{directory.order}HHI", content, entry, tiff.CFA_PATTERN, 1, len(numbers))
+                at = entry + 8
+                if len(numbers) > 4:
+                    (at,) = struct.unpack_from(f"{directory.order}I", content, at)
+                content[at : at + len(numbers)] = numbers
+            if descriptor is None:
+                return raw.open_buffer(content)  # type: ignore[arg-type] # it has the method that is called
         raw.open_file(f"/proc/self/fd/{descriptor}")
     finally:
-        os.close(descriptor)
+        if descriptor is not None:
+            os.close(descriptor)
 
 
 def _open_file(raw: rawpy.RawPy, path: Path) -> None:

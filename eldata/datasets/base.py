@@ -259,9 +259,9 @@ class PairDataset(SourcePairs):
 
     Notes
     -----
-    Frames of different cameras differ in size: with more than one camera use ``batch_size=1``, or crops. The files are
-    decoded again on each access, in DataLoader workers under fork as under spawn: random crops are read far faster from
-    a store (:class:`~eldata.datasets.packed.PackedStore`).
+    Frames of different cameras differ in size: with more than one camera use ``batch_size=1``, or crops. Crops of
+    uncompressed raws are read alone. Compressed files are decoded again on each access, in DataLoader workers under
+    fork as under spawn: their crops are read far faster from a store (:class:`~eldata.datasets.packed.PackedStore`).
     """
 
     def __init__(

@@ -23,7 +23,7 @@ from eldata.errors import RawFileError
 from eldata.raw import tiff
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -69,35 +69,9 @@ def check_damage(
     black_dn, white_dn
         Black levels and white level in DN.
     """
-    stored = [
-        (directory, directory.held // directory.shape[0])
-        for directory in directories
-        if directory.is_mosaic and directory.compression == tiff.UNCOMPRESSED and directory.extents
-        if directory.shape[0] > 0
-    ]
-    starts = [(min(image.extents)[0] + image.corner()[0] * size, size) for image, size in stored]
-    rows = check_mosaic(path, mosaic, black_dn, white_dn, starts)
-    _refuse(path, data_fault(path, directories, mosaic, rows))
-
-
-def check_mosaic(
-    path: Path,
-    mosaic: NDArray[Any],
-    black_dn: Sequence[float],
-    white_dn: float,
-    starts: Iterable[tuple[int, int]],
-) -> slice:
-    """Raise :class:`RawFileError` if pixels, not decoded ones, show damage; return the rows between those of zeros.
-
-    ``starts``: where an uncompressed mosaic's first row begins in the file, and how many bytes each has.
-    """
     rows = _find_rows_between_zeros(mosaic) if min(black_dn) > 0 else slice(0, len(mosaic))
-    _refuse(path, mosaic_fault(mosaic, black_dn, white_dn) or lost_rows_fault(starts, rows, len(mosaic)))
-    return rows
-
-
-def _refuse(path: Path, fault: str | None) -> None:
-    """Refuse a file that has a fault."""
+    fault = mosaic_fault(mosaic, black_dn, white_dn) or lost_rows_fault(directories, rows, len(mosaic))
+    fault = fault or data_fault(path, directories, mosaic, rows)
     if fault is not None:
         raise RawFileError(path, f"damaged: {fault}; {_AGAIN}")
 
@@ -363,12 +337,17 @@ def _find_rows_between_zeros(mosaic: NDArray[Any]) -> slice:
     return slice(0 if mosaic[0].any() else rows.start, len(mosaic) if mosaic[-1].any() else rows.stop)
 
 
-def lost_rows_fault(starts: Iterable[tuple[int, int]], rows: slice, height: int) -> str | None:
+def lost_rows_fault(directories: Sequence[Directory], rows: slice, height: int) -> str | None:
     """Describe rows of zeros at an uncompressed mosaic's edge that begin or end with a sector of the disk.
 
     So do rows that a disk or a download has lost; a border's rows do so by chance, or where all rows are whole sectors.
     """
-    for first, row_bytes in starts:
+    for directory in directories:
+        stored_height, extents = directory.shape[0], directory.extents
+        if not directory.is_mosaic or directory.compression != tiff.UNCOMPRESSED or not extents or stored_height <= 0:
+            continue
+        row_bytes = directory.held // stored_height
+        first = min(extents)[0] + directory.corner()[0] * row_bytes
         for row in {rows.start, rows.stop} - {0, height}:
             if (first + row * row_bytes) % _LEAST_RUN == 0:
                 return f"its rows of 0 DN, {'up to' if row == rows.start else 'from'} row {row}, are whole sectors"

@@ -21,6 +21,7 @@ import numpy as np
 from eldata.errors import RawFileError
 from eldata.raw import tiff
 from eldata.raw._kernels import unpack_bits
+from eldata.raw.tiff import Directory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -75,13 +76,17 @@ class Layout:
         return cls(path, version, blocks, rows.block_bytes, rows.bits, rows.main.order, *corner, *shape)
 
     @property
-    def first_rows(self) -> tuple[tuple[int, int], ...]:
-        """Where its first row begins in the file, and how many bytes each has; none where rows lie in several places.
-
-        As :func:`eldata.raw.damage.check_mosaic` takes it.
-        """
-        _, _, offset, _ = self.blocks[0]
-        return () if self.blocks[1:] else ((offset + self.top * self.block_bytes, self.block_bytes),)
+    def stated(self) -> Directory:
+        """What a directory states of it that :func:`eldata.raw.damage.check_damage` looks at, as one strip."""
+        _, _, offset, height = self.blocks[0]
+        values: dict[int, tuple[int, ...]] = {
+            tiff.PHOTOMETRIC: (tiff.CFA_PHOTOMETRIC,),
+            tiff.HEIGHT: (height,),
+            tiff.ACTIVE_AREA: (self.top, self.left),
+            tiff.STRIPS[0]: (offset,),
+            tiff.STRIPS[1]: (height * self.block_bytes,),
+        }
+        return Directory(dict(values))
 
     def read(self, rows: slice, columns: slice) -> NDArray[np.uint16]:
         """Return a part of the visible area, (rows, columns) in DN, not to be written to.

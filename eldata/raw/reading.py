@@ -3,8 +3,9 @@
 Which figures are taken
 -----------------------
 mosaic
-    LibRaw's visible area, copied; the file is closed before the function returns. What LibRaw decodes as other pixels
-    than are meant is refused (:mod:`eldata.raw.container`).
+    LibRaw's visible area, copied; the file is closed before the function returns. Pixels that are not compressed are
+    read from where tags place them, if LibRaw has confirmed that (:mod:`eldata.raw.mapped`). What LibRaw decodes as
+    other pixels than are meant is refused (:mod:`eldata.raw.container`).
 CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd. Of quad-Bayer and nona-Bayer the file's own tags: LibRaw

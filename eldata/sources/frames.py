@@ -247,12 +247,12 @@ class Frame:
 
 def _read_mapped(layout: Layout, sensor: Sensor, rows: slice, columns: slice) -> NDArray[np.uint16]:
     """Read a part of a raw file's frame; of a whole frame, refuse one that shows damage."""
-    from eldata.raw.damage import check_mosaic
+    from eldata.raw.damage import check_damage
 
     if part_shape((layout.height, layout.width), rows, columns) != (layout.height, layout.width):
         return layout.read(rows, columns)
     pixels = layout.read_whole()
-    check_mosaic(layout.path, pixels, sensor.black_level_dn, sensor.white_level_dn, layout.first_rows)
+    check_damage(layout.path, (layout.stated,), pixels, sensor.black_level_dn, sensor.white_level_dn)
     return pixels
 
 

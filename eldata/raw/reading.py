@@ -254,12 +254,12 @@ def _open_frame(file: RawContainer, decoder: str, *, prove: bool = False) -> tup
     remarks = _container_remarks(file)
     check_samples(path, file.directories)
     form = None if decoder == "libraw" else form_of(file)
-    if rows is not None and form is not None:
-        if prove or form not in verdicts:
-            verdicts[form] = _compare(file, rows)
-        remarks += (verdicts[form],) if verdicts[form] else ()
+    if rows is not None and form is not None and (prove or form not in verdicts):
+        verdicts[form] = _compare(file, rows)
+    verdict = None if form is None else verdicts[form]
+    remarks += (verdict,) if verdict else ()
     layout: Layout | None = None
-    if rows is not None and form is not None and not verdicts[form]:
+    if rows is not None and verdict == "":
         known, _ = _decode(file, short=True)
         layout = known.lay_out(path, rows)
         mosaic: NDArray[np.uint16] = np.broadcast_to(np.uint16(0), (known.sensor.height, known.sensor.width))

@@ -33,6 +33,7 @@ NAMES = (
         "calibration",
     ),
     "store",
+    "raw_parts",
     "scale",
     "manifest",
     "shading",

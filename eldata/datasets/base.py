@@ -102,8 +102,12 @@ class SourcePairs(CroppedItems):
         """Draw a crop of pair ``place`` modulo their number, or of a grid its crop."""
         number, tile = self._record_of(place)
         record = self.records[number]
-        pair = self._cached_pair(number) if self.reads_parts else None
+        pair = self._cached_pair(number) if self.reads_parts else self._pairs.get(number)
         target = self._opener.open_target(record.reference) if pair is None else pair.target
+        if pair is None and target.reads_parts:
+            pair = self._opener.open_pair(record, target)
+            if pair.input.reads_parts:
+                self._keep(number, pair)
         crop = Crop.draw(target, generator, crop=self.crop, augment=self.augment, tile=tile)
         shapes: dict[str, tuple[int, ...]] = dict.fromkeys(SIDES, crop.packed_shape)
         return DrawnItem(crop, shapes, self._parts(record, target, pair), {}, target.sensor)
@@ -137,10 +141,15 @@ class SourcePairs(CroppedItems):
         """Return a pair with open frames; the pairs of a small set stay open."""
         pair = self._pairs.get(place)
         if pair is None:
-            if len(self._pairs) >= _MOST_OPEN:
-                self._pairs.clear()
-            pair = self._pairs[place] = self._open_pair(self.records[place])
+            pair = self._open_pair(self.records[place])
+            self._keep(place, pair)
         return pair
+
+    def _keep(self, place: int, pair: OpenedPair) -> None:
+        """Keep a pair open."""
+        if len(self._pairs) >= _MOST_OPEN:
+            self._pairs.clear()
+        self._pairs[place] = pair
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_pairs": {}}  # each process opens those that it reads
@@ -229,9 +238,9 @@ class PairDataset(SourcePairs):
 
     Notes
     -----
-    Frames of different cameras differ in size: with more than one camera use ``batch_size=1``, or crops. The files are
-    decoded again on each access, in DataLoader workers under fork as under spawn: random crops are read far faster from
-    a store (:class:`~eldata.datasets.packed.PackedStore`).
+    Frames of different cameras differ in size: with more than one camera use ``batch_size=1``, or crops. Crops of
+    uncompressed raws are read alone. Compressed files are decoded again on each access, in DataLoader workers under
+    fork as under spawn: their crops are read far faster from a store (:class:`~eldata.datasets.packed.PackedStore`).
     """
 
     def __init__(

@@ -119,7 +119,7 @@ class CleanFrames:
         else:
             self.origin, self.names = _find_frames(source, reference)
         self._kept: OrderedDict[int, Frame] = OrderedDict()
-        self._opened: dict[int, Frame] = {}  # of a source that reads parts: without pixels
+        self._opened: dict[int, Frame] = {}  # those that read parts: without pixels
 
     @property
     def reads_parts(self) -> bool:
@@ -130,13 +130,13 @@ class CleanFrames:
         return len(self.names)
 
     def open_frame(self, index: int) -> Frame:
-        """Open one frame; a file is decoded, of a store nothing is read yet."""
+        """Open one frame; a file is decoded unless it is mapped, of a store nothing is read yet."""
         frame = self._opened.get(index)
         if frame is None:
             frame = self.origin.frame(self.names[index]).with_levels(self.levels)
             if frame.sensor is not None:
                 check_in_dn(frame.name, frame.sensor, "noise")
-            if self.reads_parts:
+            if self.reads_parts or frame.reads_parts:
                 self._opened[index] = frame
         return frame
 
@@ -147,7 +147,7 @@ class CleanFrames:
         kept = self._kept.pop(index, None)  # threads may read side by side, and find what another one just took
         if kept is None:
             opened = self.open_frame(index)
-            kept = replace(opened, mosaic=opened.whole()) if self.reads_parts else opened
+            kept = replace(opened, mosaic=opened.whole()) if self.reads_parts or opened.reads_parts else opened
         self._kept[index] = kept
         while len(self._kept) > self.keep:
             self._kept.popitem(last=False)

@@ -167,3 +167,20 @@ def transpose(source: NDArray[Any], target: NDArray[Any], flip_rows: bool, flip_
         row = source[rows - 1 - x if flip_columns else x]
         for y in range(height):
             target[y, x] = row[columns - 1 - y if flip_rows else y]
+
+
+@kernel
+def unpack_bits(stored: NDArray[np.uint8], bits: int, first: int, out: NDArray[np.uint16]) -> None:
+    """Fill ``out`` with pixels of ``bits`` bits each, highest first, from pixel ``first`` of each row of bytes on."""
+    length, mask = stored.shape[1], (1 << bits) - 1
+    for y in range(out.shape[0]):
+        row = stored[y]
+        for x in range(out.shape[1]):
+            place = (first + x) * bits
+            at = place >> 3
+            value = row[at] << 16  # up to 16 bits lie in three bytes
+            if at + 1 < length:
+                value |= row[at + 1] << 8
+            if at + 2 < length:
+                value |= row[at + 2]
+            out[y, x] = (value >> (24 - bits - (place & 7))) & mask

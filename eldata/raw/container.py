@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import io
 import math
+import mmap
+import os
 import struct
 from bisect import bisect_right
 from dataclasses import dataclass
@@ -35,6 +37,8 @@ from eldata.records import Exposure, RawHeader
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 
 _FIRST_YEAR = 1990  # no camera wrote raw files before: an earlier time is of a clock that was never set
@@ -88,17 +92,20 @@ class RawContainer:
 
     @cached_property
     def rows(self) -> StoredRows | None:
-        """Offsets and lengths of the rows of a DNG's uncompressed mosaic; None for any other file.
+        """Offsets and lengths of the rows of an uncompressed mosaic of a TIFF-based file; None for any other file.
 
         Raises
         ------
         RawFileError
-            If its strips or tiles are not as many as its size takes or share bytes; or if their byte counts are less
-            than their rows take, and something else than these rows follows.
+            If a DNG's strips or tiles are not as many as its size takes or share bytes; or if their byte counts are
+            less than their rows take, and something else than these rows follows.
         """
-        if self.main is None or not self.is_dng or self.main.compression != tiff.UNCOMPRESSED:
-            return None
-        return _find_rows(self.path, self.main, self.directories)
+        main = self.main
+        if main is None or not self.is_dng:
+            return None if main is None else _find_camera_rows(self.path, main, self.directories)
+        is_plain = main.compression == tiff.UNCOMPRESSED
+        bits = main.number(tiff.BITS, _MOST_BITS)
+        return _find_rows(self.path, main, self.directories, bits) if is_plain else None
 
 
 def read_container(path: Path) -> RawContainer:
@@ -292,21 +299,25 @@ def _mrw_blocks(path: Path, file: BinaryIO, size: int) -> Iterator[tuple[bytes, 
 _MOST_BITS = 16
 _MOST_PADDING = 16  # bytes that a writer may leave so that what follows begins at a whole number of words
 _NO_TAG, _LONG = 0xFFFF, 4
+_ROWS_TO_KNOW = 48  # of a picture: LibRaw knows no mosaic of some 20 rows
+_PHASES = 24  # rows after which each pattern repeats: of a CFA 2, 4 or 6, of black levels up to 8
 _TILE_TAGS = {tiff.TILE_WIDTH, tiff.TILE_HEIGHT, *tiff.TILES}
 
 
 @dataclass(frozen=True, slots=True)
 class StoredRows:
-    """Where the rows of a DNG's uncompressed mosaic stand, by the offsets of its strips or tiles.
+    """Where the rows of an uncompressed mosaic stand, by the offsets of its strips or tiles.
 
     LibRaw takes all strips for one run of bytes that begins where the first does, whatever their offsets and byte
     counts say, and a single tile for rows of the image. :meth:`rearrange` gives it the same file with its rows in one
-    run.
+    run, or with few rows, for who asks what else it states.
 
     Attributes
     ----------
     main
         The mosaic's directory.
+    bits
+        Of a pixel, as it is stored.
     row_bytes, block_bytes
         Bytes of a row of pixels, which begins at a whole byte, and of a row of a strip or tile.
     blocks
@@ -316,6 +327,7 @@ class StoredRows:
     """
 
     main: Directory
+    bits: int
     row_bytes: int
     block_bytes: int
     blocks: tuple[tuple[int, int, int, int], ...]
@@ -327,22 +339,60 @@ class StoredRows:
         tags = self.main.entries.keys()
         if tiff.TILES[0] in self.main.values:
             return len(self.blocks) > 1 and tiff.STRIPS[0] not in tags
-        return not tags & _TILE_TAGS and _are_one_run([block[2:] for block in self.blocks])
+        return not tags & _TILE_TAGS and self.are_one_run
 
-    def rearrange(self, content: bytes | bytearray) -> bytes:
-        """Append the rows, in order, to a copy of the file's bytes, as its only strip."""
-        image = np.empty((self.main.shape[0], self.row_bytes), np.uint8)
-        for top, left, offset, length in self.blocks:
-            block = np.frombuffer(content, np.uint8, length, offset).reshape(-1, self.block_bytes)
-            part = image[top : top + len(block), left : left + self.block_bytes]
-            part[:] = block[:, : part.shape[1]]
-        copy, entries = bytearray(content), self.main.entries
+    @property
+    def are_one_run(self) -> bool:
+        """Whether its blocks are strips that follow one another without a gap."""
+        return self.block_bytes == self.row_bytes and _are_one_run([block[2:] for block in self.blocks])
+
+    def rearrange(self, path: Path, *, short: bool) -> tuple[mmap.mmap, int | None]:
+        """Copy the file with its rows, in order, as its only strip, behind all else; if ``short`` a few rows of zeros.
+
+        It has so many rows less that no pattern of a CFA or of black levels changes its phase at the bottom. The copy
+        is sparse, and comes with its descriptor, to be closed, where the system has such files without a name.
+        """
+        (height, _), size = self.main.shape, path.stat().st_size
+        area = self.main.values.get(tiff.ACTIVE_AREA, (0, 0, height, 0))
+        least = min(height, _ROWS_TO_KNOW + height - int(area[2] - area[0])) if short else height
+        less = (height - least) // _PHASES * _PHASES
+        length = size + (height - less) * self.row_bytes
+        descriptor = os.memfd_create("eldata-copy") if hasattr(os, "memfd_create") else None
+        if descriptor is not None:
+            os.ftruncate(descriptor, length)
+        copy, at = mmap.mmap(-1 if descriptor is None else descriptor, length), 0
+        with path.open("rb") as file:
+            for _, _, offset, held in sorted((*self.blocks, (0, 0, size, 0)), key=lambda block: block[2]):
+                if at < offset:
+                    file.seek(at)
+                    copy[at:offset] = file.read(offset - at)
+                at = max(at, offset + held)
+        if not short:
+            self._copy_rows(path, np.ndarray((height, self.row_bytes), np.uint8, copy, size))
+        for tag in (self.main.entries.keys() & {tiff.HEIGHT, tiff.ROWS_PER_STRIP}) if less else ():
+            self._state(copy, tag, tag, height - less)
+        if less and tiff.ACTIVE_AREA in self.main.entries:
+            entry, kind = self.main.entries[tiff.ACTIVE_AREA]
+            (at,) = struct.unpack_from(f"{self.main.order}I", copy, entry + 8)
+            code, width = ("H", 2) if kind == tiff.SHORT else ("I", 4)
+            struct.pack_into(self.main.order + code, copy, at + 2 * width, int(area[2]) - less)
         used = tiff.TILES if tiff.TILES[0] in self.main.values else tiff.STRIPS
-        for tag in entries.keys() & {*tiff.STRIPS, *_TILE_TAGS}:
-            struct.pack_into(f"{self.main.order}H", copy, entries[tag][0], _NO_TAG)
-        for tag, old, value in zip(tiff.STRIPS, used, (len(copy), image.size), strict=True):
-            struct.pack_into(f"{self.main.order}HHII", copy, entries[old][0], tag, _LONG, 1, value)
-        return bytes(copy) + image.tobytes()
+        for tag in self.main.entries.keys() & {*tiff.STRIPS, *_TILE_TAGS}:
+            struct.pack_into(f"{self.main.order}H", copy, self.main.entries[tag][0], _NO_TAG)
+        for tag, old, value in zip(tiff.STRIPS, used, (size, length - size), strict=True):
+            self._state(copy, old, tag, value)
+        return copy, descriptor
+
+    def _copy_rows(self, path: Path, image: NDArray[np.uint8]) -> None:
+        """Copy all rows, as bytes, into an image (rows, bytes)."""
+        content = np.memmap(path, np.uint8, "r")
+        for top, left, offset, length in self.blocks:
+            part = image[top : top + length // self.block_bytes, left : left + self.block_bytes]
+            part[:] = content[offset : offset + length].reshape(-1, self.block_bytes)[:, : part.shape[1]]
+
+    def _state(self, copy: mmap.mmap, old: int, tag: int, value: int) -> None:
+        """State a number in a tag, instead of what another tag states."""
+        struct.pack_into(f"{self.main.order}HHII", copy, self.main.entries[old][0], tag, _LONG, 1, value)
 
 
 def _are_one_run(extents: Sequence[tuple[int, ...]]) -> bool:
@@ -350,9 +400,24 @@ def _are_one_run(extents: Sequence[tuple[int, ...]]) -> bool:
     return all(sum(extent) == offset for extent, (offset, _) in pairwise(extents))
 
 
-def _find_rows(path: Path, main: Directory, directories: Sequence[Directory]) -> StoredRows | None:
-    """Find the rows of a DNG's mosaic; None if its size or its bits are not known."""
+def _find_camera_rows(path: Path, main: Directory, directories: Sequence[Directory]) -> StoredRows | None:
+    """Find the rows of a camera's own mosaic: its bytes, not what it states, tell its bits, which Sony states as 14."""
     (height, width), bits = main.shape, main.number(tiff.BITS, _MOST_BITS)
+    if main.held == 2 * main.pixels:
+        bits = _MOST_BITS
+    elif main.held != -(-width * bits // 8) * height:
+        return None
+    if main.compression not in (tiff.UNCOMPRESSED, _SONY) or tiff.TILES[0] in main.values:
+        return None
+    try:
+        return _find_rows(path, main, directories, bits)
+    except RawFileError:  # whatever they are, LibRaw may know them
+        return None
+
+
+def _find_rows(path: Path, main: Directory, directories: Sequence[Directory], bits: int) -> StoredRows | None:
+    """Find the rows of a mosaic of so many bits a pixel; None if its size or these are not known."""
+    height, width = main.shape
     if not main.pixels or not 0 < bits <= _MOST_BITS:
         return None
     name, row_bytes = "strip", -(-width * bits // 8)
@@ -378,7 +443,7 @@ def _find_rows(path: Path, main: Directory, directories: Sequence[Directory]) ->
     remarks = _check_short(path, directories, name, short) if short else ()
     if sum(block[3] for block in blocks) > path.stat().st_size:
         raise RawFileError(path, f"damaged: its {name}s share the same bytes")
-    return StoredRows(main, row_bytes, block_bytes, blocks, remarks)
+    return StoredRows(main, bits, row_bytes, block_bytes, blocks, remarks)
 
 
 def _check_short(

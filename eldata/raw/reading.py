@@ -3,8 +3,9 @@
 Which figures are taken
 -----------------------
 mosaic
-    LibRaw's visible area, copied; the file is closed before the function returns. What LibRaw decodes as other pixels
-    than are meant is refused (:mod:`eldata.raw.container`).
+    LibRaw's visible area, copied; the file is closed before the function returns. Pixels that are not compressed are
+    read from where tags place them, if LibRaw has confirmed that (:mod:`eldata.raw.mapped`). What LibRaw decodes as
+    other pixels than are meant is refused (:mod:`eldata.raw.container`).
 CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd. Of quad-Bayer and nona-Bayer the file's own tags: LibRaw
@@ -54,7 +55,8 @@ A remark is a sentence that says what was, or was not, done with a file that is 
 from __future__ import annotations
 
 import ctypes
-import io
+import mmap
+import os
 import struct
 from contextlib import contextmanager
 from dataclasses import replace
@@ -63,17 +65,18 @@ from functools import cache
 from itertools import chain, product
 from math import isfinite, lcm
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from eldata.base.files import read_file
-from eldata.errors import RawFileError, UnusableRawError
+from eldata.errors import RawFileError, UnusableRawError, check_choice
 from eldata.raw import tiff
 from eldata.raw.colour import neutral_of_white
 from eldata.raw.container import NEEDED, check_container, make_cfa_error, read_container, refuse_unsupported
 from eldata.raw.damage import border_remarks, check_damage, check_samples
 from eldata.raw.levels import cfa_from, cfa_of_letters, packing_sites
+from eldata.raw.mapped import Layout, form_of, verdicts
 from eldata.raw.stated import StatedFile
 from eldata.records import D65, RawFrame, Sensor, exact_number
 
@@ -83,10 +86,13 @@ if TYPE_CHECKING:
     import rawpy
     from numpy.typing import NDArray
 
-    from eldata.raw.container import RawContainer
+    from eldata.raw.container import RawContainer, StoredRows
     from eldata.raw.levels import CfaRows
     from eldata.raw.tiff import Directory
     from eldata.records import Matrix3, RawHeader
+
+Decoder = Literal["mapped", "libraw"]
+DECODER_VARIABLE = "ELDATA_DECODER"
 
 # By number, DNG specification 1.7.1, chapter 7.
 _OPCODES = (
@@ -137,7 +143,7 @@ def _read_facts(file: RawContainer, decode: bool) -> tuple[RawHeader, Sensor | R
     if not decode:
         return header, None
     try:
-        frame = _read_frame(file)
+        frame = _read_frame(file, _choose_decoder(None), prove=True)
     except RawFileError as error:
         return header, error
     return replace(header, remarks=frame.remarks), frame.sensor
@@ -153,23 +159,30 @@ def _read_container(path: Path) -> RawContainer:
 
 def _read_header(file: RawContainer) -> RawHeader:
     """Read a header that LibRaw can open too, with its remarks and a DNG's mean black and white level, DN."""
-    with open_raw(file):  # LibRaw knows it
-        if file.main is None:
-            return file.header
-        levels_dn = None
-        if file.is_dng:  # LibRaw's cost decoding
-            black = file.main.values.get(tiff.BLACK_LEVEL) or (0,)
-            levels_dn = float(sum(black) / len(black)), dng_white_level(file.main)
-        return replace(file.header, remarks=_container_remarks(file), levels_dn=levels_dn)
+    form = form_of(file)
+    if form is None or verdicts.get(form) != "":
+        with open_raw(file):  # LibRaw knows it
+            pass
+    if file.main is None:
+        return file.header
+    levels_dn = None
+    if file.is_dng:  # LibRaw's cost decoding
+        black = file.main.values.get(tiff.BLACK_LEVEL) or (0,)
+        levels_dn = float(sum(black) / len(black)), dng_white_level(file.main)
+    return replace(file.header, remarks=_container_remarks(file), levels_dn=levels_dn)
 
 
-def read_raw(path: Path | str | StatedFile) -> RawFrame:
+def read_raw(path: Path | str | StatedFile, decoder: Decoder | None = None) -> RawFrame:
     """Decode a raw file.
 
     Parameters
     ----------
     path
         The file; of a mosaic without levels of its own, the file with what a card states of it.
+    decoder
+        Of the pixels. ``"mapped"``: uncompressed ones are read where the file's tags place them, once LibRaw has given
+        the same for the first such file of the process; ``"libraw"``: LibRaw always. ``None``: what the environment
+        variable ``ELDATA_DECODER`` says, or else ``"mapped"``.
 
     Returns
     -------
@@ -184,6 +197,8 @@ def read_raw(path: Path | str | StatedFile) -> RawFrame:
         If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
         stored in a way or with a CFA that is not supported, or needs more memory than there is. The message names the
         file and the reason.
+    ArgumentError
+        If the decoder is unknown.
 
     Examples
     --------
@@ -198,15 +213,82 @@ def read_raw(path: Path | str | StatedFile) -> RawFrame:
     """
     if isinstance(path, StatedFile):
         return path.read()
-    return read_file(lambda path: _read_frame(_read_container(path)), Path(path), RawFileError)
+    chosen = _choose_decoder(decoder)
+    return read_file(lambda path: _read_frame(_read_container(path), chosen), Path(path), RawFileError)
 
 
-def _read_frame(file: RawContainer) -> RawFrame:
-    """Decode a container's mosaic and its sensor's levels and colours; refuse damaged pixels."""
-    path, main, header = file.path, file.main, file.header
+def open_frame(path: Path | StatedFile) -> tuple[RawFrame, Layout | None]:
+    """Open a raw file whose pixels may be left where they are: then they are 0 here, and their layout is returned.
+
+    A file that is read so is not searched for damage. Raises like :func:`read_raw`.
+    """
+    if isinstance(path, StatedFile):
+        return path.read(), None
+    chosen = _choose_decoder(None)
+    return read_file(lambda path: _open_frame(_read_container(path), chosen), path, RawFileError)
+
+
+def _choose_decoder(decoder: str | None) -> str:
+    """Choose the decoder that was asked for, or else that of the environment."""
+    chosen = decoder or os.environ.get(DECODER_VARIABLE) or "mapped"
+    check_choice("decoder" if decoder else DECODER_VARIABLE, chosen, get_args(Decoder))
+    return chosen
+
+
+class _Known(NamedTuple):
+    """What LibRaw and the container tell of a file, but its pixels."""
+
+    sensor: Sensor
+    whites: tuple[float, ...] | None
+    corner: tuple[int, int]
+    """Of the visible area."""
+
+    def lay_out(self, path: Path, rows: StoredRows) -> Layout:
+        """Find where the pixels of the visible area lie."""
+        return Layout.of(path, rows, self.corner, (self.sensor.height, self.sensor.width))
+
+
+def _open_frame(file: RawContainer, decoder: str, *, prove: bool = False) -> tuple[RawFrame, Layout | None]:
+    """Read all but the pixels of a file whose layout LibRaw confirms, of the first of its form here; decode others."""
+    path, header, rows = file.path, file.header, file.rows
     remarks = _container_remarks(file)
     check_samples(path, file.directories)
-    with open_raw(file) as raw:
+    form = None if decoder == "libraw" else form_of(file)
+    if rows is not None and form is not None and (prove or form not in verdicts):
+        verdicts[form] = _compare(file, rows)
+    verdict = None if form is None else verdicts[form]
+    remarks += (verdict,) if verdict else ()
+    layout: Layout | None = None
+    if rows is not None and verdict == "":
+        known, _ = _decode(file, short=True)
+        layout = known.lay_out(path, rows)
+        mosaic: NDArray[np.uint16] = np.broadcast_to(np.uint16(0), (known.sensor.height, known.sensor.width))
+    else:
+        known, mosaic = _decode(file)
+    first = file.directories[0] if file.directories else tiff.Directory({})
+    noise = _read_noise_profile(file.main or first, first) if file.is_dng else None
+    exposure, orientation = header.exposure, header.orientation
+    frame = RawFrame(path, mosaic, known.sensor, exposure, known.whites, remarks, orientation, noise)
+    return (_examine(file, frame) if layout is None else frame), layout
+
+
+def _read_frame(file: RawContainer, decoder: str, *, prove: bool = False) -> RawFrame:
+    """Read a container's mosaic and its sensor's levels and colours; refuse damaged pixels."""
+    frame, layout = _open_frame(file, decoder, prove=prove)
+    return frame if layout is None else _examine(file, replace(frame, mosaic=layout.read_whole()))
+
+
+def _examine(file: RawContainer, frame: RawFrame) -> RawFrame:
+    """Refuse a frame whose pixels show damage; remark on its borders."""
+    sensor = frame.sensor
+    check_damage(file.path, file.directories, frame.mosaic, sensor.black_level_dn, sensor.white_level_dn)
+    return replace(frame, remarks=frame.remarks + border_remarks(frame.mosaic))
+
+
+def _decode(file: RawContainer, *, short: bool = False) -> tuple[_Known, NDArray[np.uint16]]:
+    """Decode a mosaic by LibRaw; if ``short``, only to know all else, from a copy without most of its rows."""
+    path, main, header = file.path, file.main, file.header
+    with open_raw(file, short=short) as raw:
         check_sizes(path, raw)
         if main is None:
             check_one_image(path)
@@ -225,11 +307,27 @@ def _read_frame(file: RawContainer) -> RawFrame:
         balance = as_shot_multipliers(raw, first)
         mosaic, whites = raw.raw_image_visible.copy(), channel_whites(raw, index_of)
         height, width = mosaic.shape
+        height += main.shape[0] - raw.sizes.raw_height if short and main is not None else 0
         sensor = Sensor(header.make, header.model, cfa, black, white, height, width, balance, matrix, illuminant)
-    check_damage(path, file.directories, mosaic, black, white)
-    remarks += border_remarks(mosaic)
-    noise = _read_noise_profile(main or first, first) if file.is_dng else None
-    return RawFrame(path, mosaic, sensor, header.exposure, whites, remarks, header.orientation, noise)
+        return _Known(sensor, whites, (raw.sizes.top_margin, raw.sizes.left_margin)), mosaic
+
+
+def _compare(file: RawContainer, rows: StoredRows) -> str:
+    """Compare a file as it is mapped with what LibRaw decodes: what differs, or nothing."""
+    begin = "its pixels are decoded by LibRaw, not read where its tags place them: "
+    known, mosaic = _decode(file)
+    try:
+        mapped, _ = _decode(file, short=True)
+        pixels = mapped.lay_out(file.path, rows).read_whole()
+    except RawFileError as error:
+        return f"{begin}there, {error.reason}"
+    if mapped != known or pixels.shape != mosaic.shape:
+        return f"{begin}by its tags alone it has another size, or other levels or colours"
+    if (different := pixels != mosaic).any():
+        row, column = divmod(int(different.argmax()), mosaic.shape[1])
+        found = f"there stand {pixels[row, column]} DN, and LibRaw has {mosaic[row, column]} DN"
+        return f"{begin}at row {row}, column {column}, {found}"
+    return ""
 
 
 def _read_noise_profile(mosaic: Directory, first: Directory) -> tuple[float, float] | None:
@@ -288,8 +386,8 @@ def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
 
 
 @contextmanager
-def open_raw(file: RawContainer, what: str = "decode") -> Iterator[rawpy.RawPy]:
-    """Open a raw file with LibRaw. Its errors say that it cannot do ``what``.
+def open_raw(file: RawContainer, what: str = "decode", *, short: bool = False) -> Iterator[rawpy.RawPy]:
+    """Open a raw file, or a short copy of it, with LibRaw. Its errors say that it cannot do ``what``.
 
     Raises
     ------
@@ -302,11 +400,7 @@ def open_raw(file: RawContainer, what: str = "decode") -> Iterator[rawpy.RawPy]:
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
-        content = _mend(file)
-        if content is None:
-            _open_file(raw, file.path)
-        else:
-            raw.open_buffer(io.BytesIO(content))
+        _open_corrected(raw, file, short=short)
         yield raw
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(file.path, "is not a raw file that LibRaw knows") from error
@@ -319,25 +413,36 @@ def open_raw(file: RawContainer, what: str = "decode") -> Iterator[rawpy.RawPy]:
         raw.close()
 
 
-def _mend(file: RawContainer) -> bytes | None:
-    """Correct a file's bytes for LibRaw; None if it reads them correctly as they are.
+def _open_corrected(raw: rawpy.RawPy, file: RawContainer, *, short: bool) -> None:
+    """Open a file in LibRaw: itself, or a copy that is corrected, or one that is short too.
 
-    It takes the bytes of a CFAPattern's 16-bit numbers for numbers, and strips for rows that follow one another.
+    LibRaw takes the bytes of a CFAPattern's 16-bit numbers for numbers, and strips for rows that follow one another.
     """
     wide = [image for image in file.directories if image.entries.get(tiff.CFA_PATTERN, (0, 0))[1] == tiff.SHORT]
-    rows = None if file.rows is None or file.rows.are_found else file.rows
-    if not wide and rows is None:
-        return None
-    content = bytearray(file.path.read_bytes())
-    for directory in wide:
-        entry, _ = directory.entries[tiff.CFA_PATTERN]
-        numbers = bytes(min(int(number), 255) for number in directory.values[tiff.CFA_PATTERN])
-        struct.pack_into(f"{directory.order}HHI", content, entry, tiff.CFA_PATTERN, 1, len(numbers))
-        at = entry + 8
-        if len(numbers) > 4:
-            (at,) = struct.unpack_from(f"{directory.order}I", content, at)
-        content[at : at + len(numbers)] = numbers
-    return bytes(content) if rows is None else rows.rearrange(content)
+    rows, descriptor = file.rows, None
+    if rows is not None and (short or (file.is_dng and not rows.are_found)):
+        content, descriptor = rows.rearrange(file.path, short=short)
+    elif wide:
+        content = mmap.mmap(-1, file.path.stat().st_size)
+        content[:] = file.path.read_bytes()
+    else:
+        return _open_file(raw, file.path)
+    try:
+        with content:
+            for directory in wide:
+                entry, _ = directory.entries[tiff.CFA_PATTERN]
+                numbers = bytes(min(int(number), 255) for number in directory.values[tiff.CFA_PATTERN])
+                struct.pack_into(f"{directory.order}HHI", content, entry, tiff.CFA_PATTERN, 1, len(numbers))
+                at = entry + 8
+                if len(numbers) > 4:
+                    (at,) = struct.unpack_from(f"{directory.order}I", content, at)
+                content[at : at + len(numbers)] = numbers
+            if descriptor is None:
+                return raw.open_buffer(content)  # type: ignore[arg-type] # it has the method that is called
+        raw.open_file(f"/proc/self/fd/{descriptor}")
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
 
 
 def _open_file(raw: rawpy.RawPy, path: Path) -> None:

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Levels
     from eldata.raw.levels import CfaRows, Clip
+    from eldata.raw.mapped import Layout
     from eldata.raw.stated import StatedFile
     from eldata.records import FrameRecord, RawFrame, Sensor
 
@@ -56,11 +57,14 @@ class Pixels(NamedTuple):
         Uint16, or floating.
     read
         Of rows and columns: that part, (..., rows, columns), in memory that the thread's next read may overwrite.
+    are_light
+        Whether no pixels are held in memory, so that the frame may stay open.
     """
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     read: Callable[[slice, slice], NDArray[Any]]
+    are_light: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +127,11 @@ class Frame:
         """(H, W)."""
         height, width = self.mosaic.shape[-2:]
         return height, width
+
+    @property
+    def reads_parts(self) -> bool:
+        """Whether no pixels are in memory yet: those that are asked for are read, and the frame may stay open."""
+        return isinstance(self.mosaic, Pixels) and self.mosaic.are_light
 
     @property
     def kind(self) -> str:
@@ -219,7 +228,7 @@ class Frame:
         except ArgumentError as error:
             raise DatasetError(f"{self.name}: {error}") from error
         reads = partial(_read_without, self, shading, iso)
-        return replace(self, mosaic=Pixels(self.shape, np.dtype(np.float32), reads))
+        return replace(self, mosaic=Pixels(self.shape, np.dtype(np.float32), reads, self.reads_parts))
 
     def without_pixels(self) -> Frame:
         """Copy the frame without its pixels."""
@@ -234,6 +243,17 @@ class Frame:
     def whole(self) -> NDArray[Any]:
         """Return all of the pixels, in memory of their own."""
         return self.read(slice(None), slice(None)).copy()
+
+
+def _read_mapped(layout: Layout, sensor: Sensor, rows: slice, columns: slice) -> NDArray[np.uint16]:
+    """Read a part of a raw file's frame; of a whole frame, refuse one that shows damage."""
+    from eldata.raw.damage import check_damage
+
+    if part_shape((layout.height, layout.width), rows, columns) != (layout.height, layout.width):
+        return layout.read(rows, columns)
+    pixels = layout.read_whole()
+    check_damage(layout.path, (layout.stated,), pixels, sensor.black_level_dn, sensor.white_level_dn)
+    return pixels
 
 
 def _read_without(frame: Frame, shading: DarkShading, iso: float, rows: slice, columns: slice) -> NDArray[np.float32]:
@@ -255,8 +275,8 @@ class FrameSource(Protocol):
     """Frames by path."""
 
     reads_parts: bool
-    """Whether opening a frame costs nothing and reads only the parts that are asked for, by several threads at once.
-    Otherwise it decodes the whole frame, so one is opened at a time."""
+    """Whether opening any frame costs nothing and reads only the parts that are asked for, by several threads at once.
+    Otherwise one is opened at a time, which may decode it whole: :attr:`Frame.reads_parts` says so of each."""
 
     @property
     def records(self) -> Sequence[FrameRecord]:
@@ -267,7 +287,11 @@ class FrameSource(Protocol):
 
 
 class Files:
-    """Frames decoded from files: camera raws, and 16-bit RGB in PNG.
+    """Frames of files: camera raws, and 16-bit RGB in PNG.
+
+    Of uncompressed raws that are mapped (:mod:`eldata.raw.mapped`) only the parts that are asked for are read; of a
+    whole frame the damage that shows is looked for, of a part it is not: ``eldata verify`` does it. What LibRaw has
+    confirmed of them goes to other processes with this.
 
     Parameters
     ----------
@@ -293,7 +317,7 @@ class Files:
         self._card = card
 
     def frame(self, path: str) -> Frame:
-        """Decode a file.
+        """Open a file, which decodes it unless it is mapped.
 
         Raises
         ------
@@ -302,18 +326,32 @@ class Files:
         DatasetError
             If the set's folder, or that of its camera, is missing, or the file lies elsewhere in it.
         """
-        from eldata.raw.reading import read_raw
+        from eldata.raw.reading import open_frame
 
         file = self._find_file(path)
         try:
             if is_png(path) and isinstance(file, Path):
                 return Frame.of_rgb(read_rgb16(file).transpose(2, 0, 1), str(file))
-            raw = read_raw(file)
+            raw, layout = open_frame(file)
         except FileError:
             if self._card is not None and isinstance(self._files, FrameFiles):
                 self._require_folders(self._files.folder, self._card, path)
             raise
-        return Frame.of_decoded(raw)
+        frame = Frame.of_decoded(raw)
+        if layout is None:
+            return frame
+        return replace(frame, mosaic=Pixels(frame.shape, raw.mosaic.dtype, partial(_read_mapped, layout, raw.sensor)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        from eldata.raw.mapped import verdicts
+
+        return vars(self) | {"_verdicts": dict(verdicts)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        from eldata.raw.mapped import verdicts
+
+        verdicts.update(state.pop("_verdicts"))
+        vars(self).update(state)
 
     def _find_file(self, path: str) -> Path | StatedFile:
         """Find a frame's file, with its card's facts if they are known."""

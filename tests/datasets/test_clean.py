@@ -68,7 +68,7 @@ def test_each_frame_is_the_file(levels: Any, white: float, folder: Path) -> None
     for number, cfa in enumerate(CFAS):
         frame = source.frame(number)
         sensor = make_sensor(cfa)
-        np.testing.assert_array_equal(frame.mosaic, random_mosaic(60, 64, seed=number))
+        np.testing.assert_array_equal(frame.whole(), random_mosaic(60, 64, seed=number))
         assert frame.mosaic.dtype == np.uint16
         assert frame.cfa == cfa
         assert frame.black_level_dn == sensor.black_level_dn

@@ -1,0 +1,189 @@
+"""Pixels of an uncompressed mosaic, read from where its container's tags place them: all of them, or a part.
+
+Nothing is decoded, so that a crop costs what it costs from a memory map. LibRaw has the last word: the first file of a
+form (:func:`form_of`) that a process reads is decoded by it too, and every pixel compared (:mod:`eldata.raw.reading`).
+
+A process keeps the last few files mapped. One that was replaced, cut off or written to since it was opened is refused
+before a pixel of it is touched.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.errors import RawFileError
+from eldata.raw import tiff
+from eldata.raw._kernels import unpack_bits
+from eldata.raw.tiff import Directory
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.raw.container import RawContainer, StoredRows
+    from eldata.raw.tiff import Order
+
+_WHOLE_BITS = 16
+_MOST_MAPPED = 16  # files of a process, a descriptor each: mapping one again takes a tenth of reading a crop
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where the pixels of one file's visible area lie.
+
+    Attributes
+    ----------
+    path, version
+        The file, and what tells it from another one under its name.
+    blocks
+        Its strips or tiles, one if they follow one another: first row, first column, offset in the file, rows.
+    block_bytes, bits, order
+        Of a row of a block; of a pixel, packed from the highest bit on unless they are 16; of the bytes of 16.
+    top, left, height, width
+        The visible area.
+    """
+
+    path: Path
+    version: tuple[int, ...]
+    blocks: tuple[tuple[int, int, int, int], ...]
+    block_bytes: int
+    bits: int
+    order: Order
+    top: int
+    left: int
+    height: int
+    width: int
+
+    @classmethod
+    def of(cls, path: Path, rows: StoredRows, corner: tuple[int, int], shape: tuple[int, int]) -> Layout:
+        """Return the layout of stored rows, of which an area is visible: its first row and column, and its size."""
+        blocks = tuple(
+            (top, start * 8 // rows.bits, offset, length // rows.block_bytes)
+            for top, start, offset, length in rows.blocks
+        )
+        if rows.are_one_run:
+            blocks = ((0, 0, blocks[0][2], rows.main.shape[0]),)
+        version = _version_of(path.stat())
+        return cls(path, version, blocks, rows.block_bytes, rows.bits, rows.main.order, *corner, *shape)
+
+    @property
+    def stated(self) -> Directory:
+        """What a directory states of it that :func:`eldata.raw.damage.check_damage` looks at, as one strip."""
+        _, _, offset, height = self.blocks[0]
+        values: dict[int, tuple[int, ...]] = {
+            tiff.PHOTOMETRIC: (tiff.CFA_PHOTOMETRIC,),
+            tiff.HEIGHT: (height,),
+            tiff.ACTIVE_AREA: (self.top, self.left),
+            tiff.STRIPS[0]: (offset,),
+            tiff.STRIPS[1]: (height * self.block_bytes,),
+        }
+        return Directory(dict(values))
+
+    def read(self, rows: slice, columns: slice) -> NDArray[np.uint16]:
+        """Return a part of the visible area, (rows, columns) in DN, not to be written to.
+
+        Raises
+        ------
+        RawFileError
+            If the file cannot be read, or is not what it was.
+        """
+        first, last, _ = rows.indices(self.height)
+        left, right, _ = columns.indices(self.width)
+        with _naming(self.path):
+            _check_version(self.path, self.version, self.path.stat())
+            content = _map(self.path, self.version)
+        out = np.empty((max(0, last - first), max(0, right - left)), np.uint16)
+        for block in self.blocks:
+            y, x, offset, height = block
+            stored = np.ndarray((height, self.block_bytes), np.uint8, content, offset)
+            y, x, width = y - self.top, x - self.left, self.block_bytes * 8 // self.bits
+            top, bottom = max(first, y), min(last, y + height)
+            start, stop = max(left, x), min(right, x + width)
+            if top >= bottom or start >= stop:
+                continue
+            target = out[top - first : bottom - first, start - left : stop - left]
+            if self.bits != _WHOLE_BITS:
+                unpack_bits(stored[top - y : bottom - y], self.bits, start - x, target)
+                continue
+            pixels = stored.view(f"{self.order}u2")[top - y : bottom - y, start - x : stop - x]
+            if target.shape == out.shape and offset % 2 == 0:  # it lies in the file as it is
+                return pixels.astype(np.uint16, copy=False)
+            target[:] = pixels
+        return out
+
+    def read_whole(self) -> NDArray[np.uint16]:
+        """Return all of the visible area, in memory of its own; raises like :meth:`read`."""
+        (_, _, offset, height), *others = self.blocks
+        width = self.block_bytes // 2
+        if others or self.bits != _WHOLE_BITS:
+            return self.read(slice(None), slice(None))
+        with _open(self.path, self.version) as file:  # not by mapping it, whose pages would take four times as long
+            pixels = np.fromfile(file, f"{self.order}u2", height * width, offset=offset)
+            _check_version(self.path, self.version, os.fstat(file.fileno()))
+        area = slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
+        return np.ascontiguousarray(pixels.reshape(height, width)[area], np.uint16)
+
+
+def _version_of(status: os.stat_result) -> tuple[int, ...]:
+    """Return the size and what else tells a file from another one under its name."""
+    return status.st_size, status.st_mtime_ns, status.st_dev, status.st_ino
+
+
+def _check_version(path: Path, version: tuple[int, ...], status: os.stat_result) -> None:
+    """Refuse another file than it was."""
+    if _version_of(status) != version:
+        was = f"it had {version[0]} bytes and has {status.st_size} now"
+        raise RawFileError(path, f"was replaced or written to since it was opened ({was}); begin again")
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the file of which the system refuses something."""
+    try:
+        yield
+    except OSError as error:
+        raise RawFileError(path, f"cannot be read: {error.strerror or error}") from error
+
+
+@contextmanager
+def _open(path: Path, version: tuple[int, ...]) -> Iterator[IO[bytes]]:
+    """Open the file; refuse another one than it was."""
+    with _naming(path), path.open("rb", buffering=0) as file:
+        _check_version(path, version, os.fstat(file.fileno()))
+        yield file
+
+
+@lru_cache(maxsize=_MOST_MAPPED)
+def _map(path: Path, version: tuple[int, ...]) -> mmap.mmap:
+    """Map a file; the last ones stay mapped, and as long as a part that was read is used."""
+    with _open(path, version) as file:
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
+# --- what LibRaw has confirmed ----------------------------------------------------------------------------------------
+
+verdicts: dict[tuple[Any, ...], str] = {}
+"""Of this process, by form: nothing if LibRaw has given the same pixels, else what differs."""
+
+
+def form_of(file: RawContainer) -> tuple[Any, ...] | None:
+    """Return what two files have in common whose pixels lie alike; None where tags do not place them."""
+    rows = file.rows
+    if rows is None or tiff.LINEARIZATION in rows.main.entries:
+        return None
+    if sum(directory.is_mosaic for directory in file.directories) > 1:
+        return None
+    main, header = rows.main, file.header
+    return (
+        *(header.make, header.model, file.is_dng, main.compression, rows.bits, main.order, main.shape),
+        *(rows.block_bytes, rows.are_one_run, len(rows.blocks) > 1),
+    )

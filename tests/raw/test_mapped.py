@@ -1,0 +1,240 @@
+"""Uncompressed mosaics read where their tags place them, beside what was written and what LibRaw decodes."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import re
+import struct
+import subprocess
+import sys
+from dataclasses import fields, replace
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import tifffile
+
+from eldata.errors import ArgumentError, RawFileError
+from eldata.raw import mapped, read_header, read_raw, reading
+from eldata.raw.reading import raw_facts
+from eldata.records import RawFrame
+from eldata.sources.frames import Files
+from tests.raw.helpers import active_area, random_mosaic, write_plain_dng
+from tests.raw.test_strips import move_blocks
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.raw.tiff import Order
+
+HEIGHT, WIDTH = 131, 67
+DEPTHS = [(8, ">"), (10, "<"), (12, "<"), (14, "<"), (16, "<"), (16, ">")]
+FORMS: list[dict[str, Any]] = [{}, {"rowsperstrip": 13}, {"tile": (32, 48)}]
+PARTS = (slice(0, 1), slice(0, 1)), (slice(13, 71), slice(31, 66)), (slice(100, None), slice(-7, None))
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_confirmed(monkeypatch: pytest.MonkeyPatch) -> dict[tuple[Any, ...], str]:
+    verdicts: dict[tuple[Any, ...], str] = {}
+    for module in (mapped, reading):
+        monkeypatch.setattr(module, "verdicts", verdicts)
+    return verdicts
+
+
+def written(
+    path: Path, *tags: Any, bits: int = 16, byteorder: str = "<", seed: int = 0, **options: Any
+) -> NDArray[Any]:
+    mosaic: NDArray[Any] = random_mosaic(HEIGHT, WIDTH, low=1, high=1 << bits, seed=seed)
+    mosaic = mosaic.astype(np.uint8) if bits == 8 else mosaic
+    if bits % 8:
+        options["bitspersample"] = bits
+    write_plain_dng(path, mosaic, ("RG", "GB"), *tags, white=(1 << bits) - 1, byteorder=byteorder, **options)
+    return mosaic
+
+
+def write_camera(path: Path, model: str, shape: tuple[int, int], bits: int, order: Order, is_packed: bool) -> Any:
+    """A camera's own TIFF: 16 bits that call themselves fewer, unless they are packed."""
+    mosaic: NDArray[Any] = random_mosaic(*shape, low=1, high=1 << bits)
+    tags = [(271, "s", 0, model.partition(" ")[0], True), (272, "s", 0, model, True), (33421, "H", 2, (2, 2), True)]
+    tags.append((33422, "B", 4, bytes((0, 1, 1, 2)), True))
+    stored: Any = mosaic
+    options: dict[str, Any] = {"photometric": 32803, "metadata": None, "extratags": tags, "byteorder": order}
+    if is_packed:  # as bytes: tifffile packs numbers of this order wrongly
+        ones = (mosaic[:, :, None] >> np.arange(bits)[::-1]) & 1
+        stored = np.packbits(ones.reshape(len(mosaic), -1).astype(np.uint8), axis=1)
+    tifffile.imwrite(path, stored, **options)
+    content = bytearray(path.read_bytes())
+    with tifffile.TiffFile(path) as tiff:
+        for tag, value in ((256, shape[1]), (258, bits)):
+            entry = tiff.pages.first.tags[tag]
+            struct.pack_into(f"{order}{'H' if entry.dtype == 3 else 'I'}", content, entry.offset + 8, value)
+    path.write_bytes(content)
+    return mosaic
+
+
+def check(path: Path) -> NDArray[np.uint16]:
+    """Assert that a file is mapped, whole and in parts, and that LibRaw says the same of it; return its mosaic."""
+    by_libraw, first = read_raw(path, "libraw"), read_raw(path)
+    frame = Files().frame(str(path))
+    assert frame.reads_parts
+    assert set(mapped.verdicts.values()) == {""}
+    for mosaic in (first.mosaic, frame.whole()):
+        np.testing.assert_array_equal(mosaic, by_libraw.mosaic)
+    for rows, columns in PARTS:
+        np.testing.assert_array_equal(frame.read(rows, columns), by_libraw.mosaic[rows, columns])
+    for field in fields(RawFrame):
+        assert field.name == "mosaic" or getattr(first, field.name) == getattr(by_libraw, field.name)
+    assert (frame.sensor, frame.exposure) == (by_libraw.sensor, by_libraw.exposure)
+    assert frame.channel_white_levels_dn == by_libraw.channel_white_levels_dn
+    return first.mosaic
+
+
+@pytest.mark.parametrize("form", FORMS, ids=str)
+@pytest.mark.parametrize(("bits", "order"), DEPTHS)
+@pytest.mark.parametrize("gap", [None, 4])
+def test_layouts(form: dict[str, Any], bits: int, order: str, gap: int | None, tmp_path: Path) -> None:
+    mosaic = written(tmp_path / "a.dng", bits=bits, byteorder=order, **form)
+    if gap is not None:
+        move_blocks(tmp_path / "a.dng", gap)
+    np.testing.assert_array_equal(check(tmp_path / "a.dng"), mosaic)
+
+
+@pytest.mark.parametrize(("bits", "order"), DEPTHS)
+@pytest.mark.parametrize("corner", list(product((6, 7), (10, 11))), ids=str)
+def test_visible_areas(bits: int, order: str, corner: tuple[int, int], tmp_path: Path) -> None:
+    area = active_area(*corner, HEIGHT - 3, WIDTH - 2)
+    mosaic = written(tmp_path / "a.dng", area, bits=bits, byteorder=order, **FORMS[bits % 3])
+    visible = check(tmp_path / "a.dng")
+    down, right = (side - side % 2 for side in corner)  # LibRaw may begin a pixel further in
+    inside = np.lib.stride_tricks.sliding_window_view(mosaic, visible.shape)[down : down + 3, right : right + 3]
+    assert (inside == visible).all(axis=(2, 3)).sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("model", "shape", "bits", "order", "is_packed", "margin"),
+    [
+        ("SONY ILCE-7SM2", (160, 4256), 14, "<", False, 0),
+        ("NIKON D850", (160, 8288), 14, ">", False, 0),
+        ("NIKON D3", (160, 4288), 12, ">", True, 2),
+        ("PENTAX K-5", (160, 4992), 12, ">", True, 0),
+    ],
+)
+def test_cameras(
+    model: str, shape: tuple[int, int], bits: int, order: Order, is_packed: bool, margin: int, tmp_path: Path
+) -> None:
+    mosaic = write_camera(tmp_path / "a.raw", model, shape, bits, order, is_packed)
+    visible = check(tmp_path / "a.raw")
+    np.testing.assert_array_equal(visible, mosaic[:, margin:][:, : visible.shape[1]])
+
+
+def test_a_file_of_a_confirmed_form_is_not_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written(tmp_path / "a.dng")
+    other = written(tmp_path / "b.dng", seed=1)
+    read_raw(tmp_path / "a.dng")
+    decode = reading._decode
+    monkeypatch.setattr(reading, "_decode", lambda file, *, short: decode(file, short=short))  # never without it
+    np.testing.assert_array_equal(read_raw(tmp_path / "b.dng").mosaic, other)
+    monkeypatch.setattr(reading, "open_raw", None)
+    assert read_header(tmp_path / "b.dng").levels_dn == (0, 65535)
+
+
+@pytest.mark.parametrize("wrong", ["a pixel", "the byte order", "a row"])
+def test_a_wrong_layout_is_caught(wrong: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mosaic, of = written(tmp_path / "a.dng"), mapped.Layout.of
+
+    def plan(*arguments: Any) -> mapped.Layout:
+        layout = of(*arguments)
+        (top, left, offset, rows), *_ = layout.blocks
+        moved = (top, left, offset - (2 if wrong == "a pixel" else 2 * WIDTH), rows)
+        return replace(layout, order=">") if wrong == "the byte order" else replace(layout, blocks=(moved,))
+
+    monkeypatch.setattr(mapped.Layout, "of", plan)
+    for _ in range(2):  # of the next file of that form, too
+        frame = read_raw(tmp_path / "a.dng")
+        np.testing.assert_array_equal(frame.mosaic, mosaic)
+        said = rf"decoded by LibRaw, .* at row 0, column 0, there stand \d+ DN, and LibRaw has {mosaic[0, 0]} DN"
+        assert re.search(said, frame.remarks[0])
+    assert not Files().frame(str(tmp_path / "a.dng")).reads_parts
+
+
+def test_verify_compares_every_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written(tmp_path / "a.dng")
+    assert raw_facts(tmp_path / "a.dng", decode=True)[0].remarks == ()
+    wrong = np.zeros((HEIGHT, WIDTH), np.uint16)
+    monkeypatch.setattr(mapped.Layout, "read_whole", lambda _: wrong)
+    assert "LibRaw has" in raw_facts(tmp_path / "a.dng", decode=True)[0].remarks[0]
+
+
+def test_forms_are_confirmed_one_by_one(
+    tmp_path: Path, nothing_is_confirmed: dict[tuple[Any, ...], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for order in "<>":
+        written(tmp_path / "a.dng", byteorder=order)
+        check(tmp_path / "a.dng")
+    assert len(nothing_is_confirmed) == 2
+    source = pickle.dumps(Files())
+    nothing_is_confirmed.clear()
+    pickle.loads(source)  # as a DataLoader sends it to its workers
+    assert len(nothing_is_confirmed) == 2
+    nothing_is_confirmed.clear()
+    monkeypatch.setenv("ELDATA_DECODER", "libraw")
+    assert not Files().frame(str(tmp_path / "a.dng")).reads_parts
+    assert not nothing_is_confirmed
+    monkeypatch.setenv("ELDATA_DECODER", "dcraw")
+    with pytest.raises(ArgumentError, match=r"ELDATA_DECODER must be one of 'mapped', 'libraw'; found 'dcraw'"):
+        read_raw(tmp_path / "a.dng")
+
+
+@pytest.mark.parametrize("form", [{}, {"rowsperstrip": 13}, {"bits": 12}], ids=str)
+def test_a_file_that_changes_is_named(form: dict[str, Any], tmp_path: Path) -> None:
+    path, words = tmp_path / "a.dng", r"a\.dng: was replaced or written to since .* \(it had \d+ bytes and has \d+ now"
+    written(path, **form)
+    if form == {"rowsperstrip": 13}:
+        move_blocks(path, 2)
+    frame, content = Files().frame(str(path)), path.read_bytes()
+    for after in (content[: len(content) // 2], content + b"\0", b""):
+        path.write_bytes(after)
+        for rows in (slice(90, 131), slice(None)):
+            with pytest.raises(RawFileError, match=words):
+                frame.read(rows, slice(None))
+    written(tmp_path / "b.dng", seed=2, **form)
+    (tmp_path / "b.dng").replace(path)
+    with pytest.raises(RawFileError, match=words):
+        frame.read(slice(3), slice(3))
+    path.unlink()
+    with pytest.raises(RawFileError, match=r"a\.dng: cannot be read: No such file"):
+        frame.read(slice(3), slice(3))
+
+
+def test_damage_shows_in_a_whole_frame(tmp_path: Path) -> None:
+    mosaic = random_mosaic(HEIGHT, WIDTH)
+    black = (50714, "I", 1, 100, True)
+    write_plain_dng(tmp_path / "a.dng", mosaic, ("RG", "GB"), black)
+    frame = Files().frame(str(tmp_path / "a.dng"))
+    assert frame.reads_parts
+    mosaic[40:60] = 0
+    write_plain_dng(tmp_path / "a.dng", mosaic, ("RG", "GB"), black)
+    frame = Files().frame(str(tmp_path / "a.dng"))
+    np.testing.assert_array_equal(frame.read(slice(30, 50), slice(None)), mosaic[30:50])
+    with pytest.raises(RawFileError, match=r"damaged: 1340 pixels in a row, from row 40, column 0 on, are 0 DN"):
+        frame.whole()
+
+
+def test_few_files_are_open_at_a_time(tmp_path: Path) -> None:
+    for number in range(100):
+        written(tmp_path / f"{number}.dng", seed=number)
+    code = (
+        "import resource, sys; from pathlib import Path; from eldata.sources.frames import Files\n"
+        "resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))\n"
+        "frames = [Files().frame(str(path)) for path in sorted(Path(sys.argv[1]).iterdir())]\n"
+        "print(sum(int(frame.read(slice(5, 9), slice(7)).sum()) for _ in range(2) for frame in frames))\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True, env=dict(os.environ)
+    )
+    expected = sum(random_mosaic(HEIGHT, WIDTH, low=1, high=1 << 16, seed=n)[5:9, :7].sum() for n in range(100))
+    assert int(run.stdout) == 2 * expected

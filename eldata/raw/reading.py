@@ -64,8 +64,9 @@ from fractions import Fraction
 from functools import cache
 from itertools import chain, product
 from math import isfinite, lcm
+from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -86,7 +87,7 @@ if TYPE_CHECKING:
     import rawpy
     from numpy.typing import NDArray
 
-    from eldata.raw.container import RawContainer, StoredRows
+    from eldata.raw.container import RawContainer
     from eldata.raw.levels import CfaRows
     from eldata.raw.tiff import Directory
     from eldata.records import Matrix3, RawHeader
@@ -235,41 +236,18 @@ def _choose_decoder(decoder: str | None) -> str:
     return chosen
 
 
-class _Known(NamedTuple):
-    """What LibRaw and the container tell of a file, but its pixels."""
-
-    sensor: Sensor
-    whites: tuple[float, ...] | None
-    corner: tuple[int, int]
-    """Of the visible area."""
-
-    def lay_out(self, path: Path, rows: StoredRows) -> Layout:
-        """Find where the pixels of the visible area lie."""
-        return Layout.of(path, rows, self.corner, (self.sensor.height, self.sensor.width))
-
-
 def _open_frame(file: RawContainer, decoder: str, *, prove: bool = False) -> tuple[RawFrame, Layout | None]:
     """Read all but the pixels of a file whose layout LibRaw confirms, of the first of its form here; decode others."""
-    path, header, rows = file.path, file.header, file.rows
     remarks = _container_remarks(file)
-    check_samples(path, file.directories)
+    check_samples(file.path, file.directories)
     form = None if decoder == "libraw" else form_of(file)
-    if rows is not None and form is not None and (prove or form not in verdicts):
-        verdicts[form] = _compare(file, rows)
+    if form is not None and (prove or form not in verdicts):
+        found = _compare(file)
+        verdicts[form] = verdicts.get(form) or found  # one that differs counts for all
     verdict = None if form is None else verdicts[form]
-    remarks += (verdict,) if verdict else ()
-    layout: Layout | None = None
-    if rows is not None and verdict == "":
-        known, _ = _decode(file, short=True)
-        layout = known.lay_out(path, rows)
-        mosaic: NDArray[np.uint16] = np.broadcast_to(np.uint16(0), (known.sensor.height, known.sensor.width))
-    else:
-        known, mosaic = _decode(file)
-    first = file.directories[0] if file.directories else tiff.Directory({})
-    noise = _read_noise_profile(file.main or first, first) if file.is_dng else None
-    exposure, orientation = header.exposure, header.orientation
-    frame = RawFrame(path, mosaic, known.sensor, exposure, known.whites, remarks, orientation, noise)
-    return (_examine(file, frame) if layout is None else frame), layout
+    frame, layout = _decode(file, short=verdict == "")
+    frame = replace(frame, remarks=remarks + ((verdict,) if verdict else ()))
+    return (frame, layout) if verdict == "" else (_examine(file, frame), None)
 
 
 def _read_frame(file: RawContainer, decoder: str, *, prove: bool = False) -> RawFrame:
@@ -285,9 +263,10 @@ def _examine(file: RawContainer, frame: RawFrame) -> RawFrame:
     return replace(frame, remarks=frame.remarks + border_remarks(frame.mosaic))
 
 
-def _decode(file: RawContainer, *, short: bool = False) -> tuple[_Known, NDArray[np.uint16]]:
-    """Decode a mosaic by LibRaw; if ``short``, only to know all else, from a copy without most of its rows."""
-    path, main, header = file.path, file.main, file.header
+def _decode(file: RawContainer, *, short: bool = False) -> tuple[RawFrame, Layout | None]:
+    """Decode a frame by LibRaw, but for its pixels if ``short``, from a copy of few rows; lay out what has rows."""
+    path, main, header, rows = file.path, file.main, file.header, file.rows
+    first = file.directories[0] if file.directories else tiff.Directory({})
     with open_raw(file, short=short) as raw:
         check_sizes(path, raw)
         if main is None:
@@ -302,26 +281,30 @@ def _decode(file: RawContainer, *, short: bool = False) -> tuple[_Known, NDArray
             black = dng_black_levels(path, main, raw, cfa) or black
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        first = file.directories[0] if file.directories else tiff.Directory({})
         matrix, illuminant = camera_matrix(raw, first)
         balance = as_shot_multipliers(raw, first)
-        mosaic, whites = raw.raw_image_visible.copy(), channel_whites(raw, index_of)
+        mosaic, whites = raw.raw_image_visible, channel_whites(raw, index_of)
         height, width = mosaic.shape
-        height += main.shape[0] - raw.sizes.raw_height if short and main is not None else 0
-        sensor = Sensor(header.make, header.model, cfa, black, white, height, width, balance, matrix, illuminant)
-        return _Known(sensor, whites, (raw.sizes.top_margin, raw.sizes.left_margin)), mosaic
+        height += rows.main.shape[0] - raw.sizes.raw_height if short and rows is not None else 0
+        corner = raw.sizes.top_margin, raw.sizes.left_margin
+        mosaic = np.broadcast_to(np.uint16(0), (height, width)) if short else mosaic.copy()
+    layout = None if rows is None else Layout.of(file, rows, corner, (height, width))
+    sensor = Sensor(header.make, header.model, cfa, black, white, height, width, balance, matrix, illuminant)
+    noise = _read_noise_profile(main or first, first) if file.is_dng else None
+    return RawFrame(path, mosaic, sensor, header.exposure, whites, (), header.orientation, noise), layout
 
 
-def _compare(file: RawContainer, rows: StoredRows) -> str:
+def _compare(file: RawContainer) -> str:
     """Compare a file as it is mapped with what LibRaw decodes: what differs, or nothing."""
     begin = "its pixels are decoded by LibRaw, not read where its tags place them: "
-    known, mosaic = _decode(file)
+    whole, place = _decode(file)
     try:
-        mapped, _ = _decode(file, short=True)
-        pixels = mapped.lay_out(file.path, rows).read_whole()
+        mapped, layout = _decode(file, short=True)
+        pixels = mapped.mosaic if layout is None else layout.read_whole()
     except RawFileError as error:
         return f"{begin}there, {error.reason}"
-    if mapped != known or pixels.shape != mosaic.shape:
+    mosaic, levels = whole.mosaic, attrgetter("sensor", "channel_white_levels_dn")
+    if layout != place or levels(mapped) != levels(whole) or pixels.shape != mosaic.shape:
         return f"{begin}by its tags alone it has another size, or other levels or colours"
     if (different := pixels != mosaic).any():
         row, column = divmod(int(different.argmax()), mosaic.shape[1])

@@ -20,6 +20,7 @@ import tifffile
 from eldata import __version__
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import mapped, read_header, read_raw, reading
+from eldata.raw.damage import check_samples
 from eldata.raw.reading import raw_facts
 from eldata.records import RawFrame
 from eldata.sources.frames import Files
@@ -175,7 +176,7 @@ def test_verify_compares_every_file(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_file_replaced_while_it_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, check_samples = tmp_path / "a.dng", reading.check_samples
+    path = tmp_path / "a.dng"
     written(path)
     read_raw(path)
     written(tmp_path / "b.dng", seed=1)
@@ -184,7 +185,7 @@ def test_a_file_replaced_while_it_is_opened(tmp_path: Path, monkeypatch: pytest.
         check_samples(*arguments)
         (tmp_path / "b.dng").replace(path)
 
-    monkeypatch.setattr(reading, "check_samples", replace_it)
+    monkeypatch.setattr("eldata.raw.reading.check_samples", replace_it)
     with pytest.raises(RawFileError, match="was replaced"):
         Files().frame(str(path)).read(slice(3), slice(3))
 

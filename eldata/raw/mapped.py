@@ -47,7 +47,7 @@ class Layout:
     path, version
         The file, and what tells it from another one under its name.
     blocks
-        Its strips or tiles, one if they follow one another: first row, first column, offset in the file, rows.
+        Its strips or tiles, as :class:`eldata.raw.container.StoredRows` has them; one if they follow one another.
     block_bytes, bits, order
         Of a row of a block; of a pixel, packed from the highest bit on unless they are 16; of the bytes of 16.
     top, left, height, width
@@ -71,13 +71,9 @@ class Layout:
     @classmethod
     def of(cls, file: RawContainer, rows: StoredRows, corner: tuple[int, int], shape: tuple[int, int]) -> Layout:
         """Return the layout of a file's rows, of which an area is visible: its first row and column, and its size."""
-        main = rows.main
-        blocks = tuple(
-            (top, start * 8 // rows.bits, offset, length // rows.block_bytes)
-            for top, start, offset, length in rows.blocks
-        )
+        main, blocks = rows.main, rows.blocks
         if rows.are_one_run:
-            blocks = ((0, 0, blocks[0][2], main.shape[0]),)
+            blocks = ((0, 0, blocks[0][2], main.shape[0] * rows.row_bytes),)
         values = {tag: main.values[tag] for tag in _OF_DAMAGE if tag in main.values}
         values |= zip(tiff.STRIPS, ((min(main.extents)[0],), (main.held,)), strict=True)
         area = (*corner, *shape)
@@ -108,11 +104,11 @@ class Layout:
         first, last, _ = rows.indices(self.height)
         left, right, _ = columns.indices(self.width)
         out = np.empty((max(0, last - first), max(0, right - left)), np.uint16)
-        for block in self.blocks:
-            y, x, offset, height = block
-            stored = np.ndarray((height, self.block_bytes), np.uint8, content, offset)
-            y, x, width = y - self.top, x - self.left, self.block_bytes * 8 // self.bits
-            top, bottom = max(first, y), min(last, y + height)
+        for block_top, block_left, offset, length in self.blocks:
+            stored = np.ndarray((length // self.block_bytes, self.block_bytes), np.uint8, content, offset)
+            y, x = block_top - self.top, block_left * 8 // self.bits - self.left
+            width = self.block_bytes * 8 // self.bits
+            top, bottom = max(first, y), min(last, y + len(stored))
             start, stop = max(left, x), min(right, x + width)
             if top >= bottom or start >= stop:
                 continue
@@ -157,18 +153,17 @@ verdicts: dict[tuple[Any, ...], str] = {}
 """Of this process, by form: nothing if LibRaw has given the same pixels, else what differs."""
 
 
-def form_of(file: RawContainer) -> tuple[Any, ...] | None:
-    """Return what two files have in common whose pixels lie alike; None where tags do not place them.
+def form_of(file: RawContainer) -> tuple[Any, ...]:
+    """Return what two files have in common whose pixels lie alike; nothing where tags do not place them.
 
     The versions are in it, since verdicts are pickled with a source of frames, which may be kept.
     """
     import rawpy
 
     rows = file.rows
-    if rows is None or tiff.LINEARIZATION in rows.main.entries:
-        return None
-    if sum(directory.is_mosaic for directory in file.directories) > 1:
-        return None
+    of_several = sum(directory.is_mosaic for directory in file.directories) > 1
+    if rows is None or of_several or tiff.LINEARIZATION in rows.main.entries:
+        return ()
     main, header = rows.main, file.header
     return (
         *(__version__, rawpy.libraw_version),

@@ -144,7 +144,7 @@ def _read_facts(file: RawContainer, decode: bool) -> tuple[RawHeader, Sensor | R
     if not decode:
         return header, None
     try:
-        frame = _read_frame(file, _choose_decoder(None), prove=True)
+        frame = _read_frame(file, prove=True)
     except RawFileError as error:
         return header, error
     return replace(header, remarks=frame.remarks), frame.sensor
@@ -160,8 +160,7 @@ def _read_container(path: Path) -> RawContainer:
 
 def _read_header(file: RawContainer) -> RawHeader:
     """Read a header that LibRaw can open too, with its remarks and a DNG's mean black and white level, DN."""
-    form = form_of(file)
-    if form is None or verdicts.get(form) != "":
+    if verdicts.get(form_of(file)) != "":
         with open_raw(file):  # LibRaw knows it
             pass
     if file.main is None:
@@ -214,8 +213,7 @@ def read_raw(path: Path | str | StatedFile, decoder: Decoder | None = None) -> R
     """
     if isinstance(path, StatedFile):
         return path.read()
-    chosen = _choose_decoder(decoder)
-    return read_file(lambda path: _read_frame(_read_container(path), chosen), Path(path), RawFileError)
+    return read_file(lambda path: _read_frame(_read_container(path), decoder), Path(path), RawFileError)
 
 
 def open_frame(path: Path | StatedFile) -> tuple[RawFrame, Layout | None]:
@@ -225,32 +223,28 @@ def open_frame(path: Path | StatedFile) -> tuple[RawFrame, Layout | None]:
     """
     if isinstance(path, StatedFile):
         return path.read(), None
-    chosen = _choose_decoder(None)
-    return read_file(lambda path: _open_frame(_read_container(path), chosen), path, RawFileError)
+    return read_file(lambda path: _open_frame(_read_container(path)), path, RawFileError)
 
 
-def _choose_decoder(decoder: str | None) -> str:
-    """Choose the decoder that was asked for, or else that of the environment."""
+def _open_frame(
+    file: RawContainer, decoder: Decoder | None = None, *, prove: bool = False
+) -> tuple[RawFrame, Layout | None]:
+    """Read all but the pixels of a file whose layout LibRaw confirms, of the first of its form here; decode others."""
     chosen = decoder or os.environ.get(DECODER_VARIABLE) or "mapped"
     check_choice("decoder" if decoder else DECODER_VARIABLE, chosen, get_args(Decoder))
-    return chosen
-
-
-def _open_frame(file: RawContainer, decoder: str, *, prove: bool = False) -> tuple[RawFrame, Layout | None]:
-    """Read all but the pixels of a file whose layout LibRaw confirms, of the first of its form here; decode others."""
     remarks = _container_remarks(file)
     check_samples(file.path, file.directories)
-    form = None if decoder == "libraw" else form_of(file)
-    if form is not None and (prove or form not in verdicts):
+    form = form_of(file) if chosen == "mapped" else ()
+    if form and (prove or form not in verdicts):
         found = _compare(file)
         verdicts[form] = verdicts.get(form) or found  # one that differs counts for all
-    verdict = None if form is None else verdicts[form]
+    verdict = verdicts.get(form)
     frame, layout = _decode(file, short=verdict == "")
     frame = replace(frame, remarks=remarks + ((verdict,) if verdict else ()))
     return (frame, layout) if verdict == "" else (_examine(file, frame), None)
 
 
-def _read_frame(file: RawContainer, decoder: str, *, prove: bool = False) -> RawFrame:
+def _read_frame(file: RawContainer, decoder: Decoder | None = None, *, prove: bool = False) -> RawFrame:
     """Read a container's mosaic and its sensor's levels and colours; refuse damaged pixels."""
     frame, layout = _open_frame(file, decoder, prove=prove)
     return frame if layout is None else _examine(file, replace(frame, mosaic=layout.read_whole()))

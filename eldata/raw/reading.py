@@ -348,15 +348,7 @@ def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader)
     >>> exposure_ratio(read_header(f"{folder}/IMG_0006.dng"), read_header(f"{folder}/IMG_0004.dng"))
     Fraction(100, 1)
     """
-    return _exposure_product(reference) / _exposure_product(noisy)
-
-
-def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
-    """Multiply ISO by exposure time in seconds; refuse a file that does not state both."""
-    for name, value in (("ISO", frame.exposure.iso), ("exposure time", frame.exposure.exposure_s)):
-        if value is None:
-            raise RawFileError(frame.path, f"states no {name}, and an exposure ratio needs it: use the original file")
-    return frame.exposure.iso * frame.exposure.exposure_s  # type: ignore[operator] # checked above
+    return reference.exposure.product(reference.path) / noisy.exposure.product(noisy.path)
 
 
 # --- LibRaw -----------------------------------------------------------------------------------------------------------

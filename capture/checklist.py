@@ -11,15 +11,14 @@ import base64
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import cache
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.capture_errors import CaptureError, ImpossibleShotError
+from capture.capture_errors import ImpossibleShotError
 from capture.observed import format_f_number
 from capture.shots import WARM, ScenePlan, format_minutes, plan_shots
-from eldata.base.fields import TextFile
+from eldata.base.fields import shipped_toml
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
 if TYPE_CHECKING:
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["FORMATS", "html_checklist", "markdown_checklist", "plan_digest", "text_checklist"]
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
+_WORDS = TEMPLATES / "checklist.toml"
 _TITLES: Final = {
     "bias": "Bias frames",
     "flats": "Flat-field frames",
@@ -121,18 +121,12 @@ def read_items(kind: str, plan: Plan) -> tuple[Mapping[str, str], ...]:
 
     Each item has a ``name`` (what is ticked stays ticked when the words change), a ``text`` and, in one line, ``why``.
     """
-    return tuple(item | {"text": _fill_text(item["text"], plan)} for item in _read_words()[kind])
+    return tuple(item | {"text": _fill_text(item["text"], plan)} for item in shipped_toml(_WORDS)[kind])
 
 
 def read_steps(plan: Plan) -> tuple[str, ...]:
     """Read the steps at each scene."""
-    return tuple(_fill_text(text, plan) for text in _read_words()["at_each_scene"])
-
-
-@cache
-def _read_words() -> Mapping[str, Any]:
-    """Read the checklist's texts."""
-    return TextFile(TEMPLATES / "checklist.toml", CaptureError).toml().data
+    return tuple(_fill_text(text, plan) for text in shipped_toml(_WORDS)["at_each_scene"])
 
 
 def _fill_text(text: str, plan: Plan) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, is_dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
-from eldata.errors import UnusableRawError
+from eldata.errors import RawFileError, UnusableRawError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -133,6 +133,13 @@ class Exposure:
     iso: Fraction | None = None
     exposure_s: Fraction | None = None
     f_number: Fraction | None = None
+
+    def product(self, file: Path | str) -> Fraction:
+        """Multiply ISO by exposure time in seconds; raise RawFileError if the file does not state both."""
+        if self.iso is None or self.exposure_s is None:
+            missing = "ISO" if self.iso is None else "exposure time"
+            raise RawFileError(file, f"states no {missing}, and an exposure ratio needs it: use the original file")
+        return self.iso * self.exposure_s
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,7 +108,7 @@ def commands_work_in_this_process() -> Iterator[None]:
     from eldata.base import console
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(console, "_count_cpus", lambda: 1)
+        patch.setattr(console, "available_cpus", lambda: 1)
         yield
 
 

@@ -25,16 +25,15 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from capture.checklist import TEMPLATES
-from eldata.base.fields import TextFile
+from eldata.base.fields import shipped_toml
 from eldata.base.files import write_text
 from eldata.base.tables import with_error
 from eldata.base.visible import in_line
-from eldata.errors import ArgumentError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.verify_report import distinct
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
 Verdict = Literal["keep", "look", "shoot again"]
 """What is to be done with a scene: kept, looked at by a person, or photographed again."""
@@ -121,17 +120,11 @@ _LIMITS: Final = {
 @cache
 def find_kind(name: str) -> MeasureKind:
     """Read a kind of measure from ``kinds.toml``; a limit that depends on the frames is infinite there."""
-    said: dict[str, Any] = {"name": name} | _read_kinds()[name]
+    said: dict[str, Any] = {"name": name} | shipped_toml(Path(__file__).with_name("kinds.toml"))[name]
     limits = said.pop("limits", "")
     look, again = _LIMITS.get(limits, (math.inf, math.inf))
     said["source"] = said.get("source", f"{{{limits}}}").format(light=LIGHT_SOURCE, shift=SHIFT_SOURCE)
     return MeasureKind(**{"look": look, "again": again} | said)
-
-
-@cache
-def _read_kinds() -> Mapping[str, Any]:
-    """Read the table of all kinds of measure, by name."""
-    return TextFile(Path(__file__).with_name("kinds.toml"), ArgumentError).toml().data
 
 
 @dataclass(frozen=True, slots=True)

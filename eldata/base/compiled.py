@@ -24,6 +24,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic
 
 from eldata.base.files import hold_lock
+from eldata.base.numbers import available_cpus
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -112,17 +113,12 @@ def _contiguous(typing: Any, array: Any) -> Any:
 contiguous = cast("Callable[[NDArray[Any]], NDArray[Any]]", intrinsic(_contiguous))
 
 
-def available_threads() -> int:
-    """Return the number of CPUs that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def in_threads(work: Callable[[Piece], Result], pieces: Sequence[Piece], threads: int | None = None) -> list[Result]:
     """Return ``[work(piece) for piece in pieces]``, computed by ``threads`` threads (default: one per CPU).
 
     The calling thread is one of them and never waits for one that has not begun, so calls may nest.
     """
-    count = min(len(pieces), available_threads() if threads is None else threads)
+    count = min(len(pieces), available_cpus() if threads is None else threads)
     if count <= 1:
         return [work(piece) for piece in pieces]
     results: list[Result | None] = [None] * len(pieces)
@@ -153,7 +149,7 @@ def in_threads(work: Callable[[Piece], Result], pieces: Sequence[Piece], threads
 def _start_threads() -> ThreadPoolExecutor:
     """Start the threads that all calls share, one fewer than CPUs."""
     # Kept: starting threads takes longer than many pieces of work.
-    return ThreadPoolExecutor(max(1, available_threads() - 1), thread_name_prefix="eldata")
+    return ThreadPoolExecutor(max(1, available_cpus() - 1), thread_name_prefix="eldata")
 
 
 if hasattr(os, "register_at_fork"):  # a forked child has the pool but not its threads

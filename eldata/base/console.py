@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, TypeAlias
 
 from eldata import __version__
 from eldata.base.files import write_json, write_problem
-from eldata.base.numbers import whole_of
+from eldata.base.numbers import available_cpus, whole_of
 from eldata.base.visible import visible
 from eldata.errors import ArgumentError, EldataError, did_you_mean
 
@@ -166,17 +166,12 @@ def add_shared(
     if "jobs" in options or "workers" in options:
         text = "files to work on at a time (default: one per CPU)"
         where = parser.add_mutually_exclusive_group()
-        where.add_argument("--jobs", type=whole_number(1), default=_count_cpus(), metavar="J", help=text)
+        where.add_argument("--jobs", type=whole_number(1), default=available_cpus(), metavar="J", help=text)
         if "workers" in options:
             text = "Dask scheduler to work on, such as tcp://host:8786"
             where.add_argument("--dask", metavar="ADDRESS", help=text)
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     parser.set_defaults(run=run, command=parser.prog, interrupted=interrupted)
-
-
-def _count_cpus() -> int:
-    """Count the CPUs that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def add_cameras(parser: argparse.ArgumentParser) -> None:

@@ -22,7 +22,7 @@ import tomllib
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
-from functools import partial
+from functools import cache, partial
 from itertools import islice
 from pathlib import Path
 from pkgutil import resolve_name
@@ -76,6 +76,12 @@ def no_search_for_cycles() -> Iterator[None]:
 def names_of(record: type) -> tuple[str, ...]:
     """Return the names of a dataclass's fields, for :meth:`Fields.only`."""
     return tuple(item.name for item in fields(record))
+
+
+@cache
+def shipped_toml(path: Path) -> Mapping[str, Any]:
+    """Return the content of a TOML file that lies beside the code, read once."""
+    return TextFile(path, ArgumentError).toml().data
 
 
 # --- whole files --------------------------------------------------------------------------------------------------

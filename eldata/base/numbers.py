@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import sys
 from fractions import Fraction
@@ -22,6 +23,11 @@ _LARGEST_FLOAT: Final = sys.float_info.max
 _FRACTION: Final = re.compile(r"(?P<whole>[0-9]+)(?:\.(?P<tenths>[0-9]+))?(?:/(?P<divisor>[0-9]+))?")
 _WHOLE: Final = re.compile(rf"[0-9]{{1,{_MOST_DIGITS}}}")
 _DECIMAL: Final = re.compile(r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?")
+
+
+def available_cpus() -> int:
+    """Return the number of CPUs that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def checked_number(name: str, value: Any, *, above: float = -math.inf) -> float:

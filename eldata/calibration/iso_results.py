@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 
-from eldata.base.fields import TextFile
+from eldata.base.fields import shipped_toml
 from eldata.base.tables import with_error
 from eldata.calibration.frames import FramesError
 from eldata.errors import ArgumentError, did_you_mean
@@ -37,16 +36,14 @@ if TYPE_CHECKING:
 # --- findings ---------------------------------------------------------------------------------------------------------
 
 
-@cache
-def read_sentences() -> Mapping[str, Mapping[str, str]]:
-    """Read the sentences of each kind by name."""
-    return TextFile(Path(__file__).with_name("sentences.toml"), ArgumentError).toml().data
+SENTENCES: Final = Path(__file__).with_name("sentences.toml")
 
 
 def fill_sentence(kind: str, **words: object) -> str:
     """Return a sentence by kind and name, such as ``remarks.drift``, with its words filled in."""
     group, _, name = kind.partition(".")
-    return read_sentences()[group][name].format(**words)
+    sentence: str = shipped_toml(SENTENCES)[group][name]
+    return sentence.format(**words)
 
 
 Quantity = Literal["gain", "shape", "read noise", "row noise", "colour bias"]

@@ -102,12 +102,14 @@ class SourcePairs(CroppedItems):
         """Draw a crop of pair ``place`` modulo their number, or of a grid its crop."""
         number, tile = self._record_of(place)
         record = self.records[number]
-        pair = self._cached_pair(number) if self.reads_parts else self._pairs.get(number)
+        pair = self._pairs.get(number)
         target = self._opener.open_target(record.reference) if pair is None else pair.target
         if pair is None and target.reads_parts:
             pair = self._opener.open_pair(record, target)
-            if pair.input.reads_parts:
-                self._keep(number, pair)
+            if pair.input.reads_parts:  # the pairs of a small set stay open
+                if len(self._pairs) >= _MOST_OPEN:
+                    self._pairs.clear()
+                self._pairs[number] = pair
         crop = Crop.draw(target, generator, crop=self.crop, augment=self.augment, tile=tile)
         shapes: dict[str, tuple[int, ...]] = dict.fromkeys(SIDES, crop.packed_shape)
         return DrawnItem(crop, shapes, self._parts(record, target, pair), {}, target.sensor)
@@ -131,25 +133,7 @@ class SourcePairs(CroppedItems):
             kind = kind_of(record.reference), kind_of(record.path), own
             if kind not in kinds:
                 kinds.add(kind)
-                self._open_pair(record)
-
-    def _open_pair(self, record: PairRecord) -> OpenedPair:
-        """Open a pair's reference and its noisy frame."""
-        return self._opener.open_pair(record, self._opener.open_target(record.reference))
-
-    def _cached_pair(self, place: int) -> OpenedPair:
-        """Return a pair with open frames; the pairs of a small set stay open."""
-        pair = self._pairs.get(place)
-        if pair is None:
-            pair = self._open_pair(self.records[place])
-            self._keep(place, pair)
-        return pair
-
-    def _keep(self, place: int, pair: OpenedPair) -> None:
-        """Keep a pair open."""
-        if len(self._pairs) >= _MOST_OPEN:
-            self._pairs.clear()
-        self._pairs[place] = pair
+                self._opener.open_pair(record, self._opener.open_target(record.reference))
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_pairs": {}}  # each process opens those that it reads

@@ -27,7 +27,7 @@ import torch
 from torch.utils.data import default_collate, get_worker_info
 from torch.utils.data._utils.collate import default_collate_fn_map
 
-from eldata.base.compiled import available_threads
+from eldata.base.numbers import available_cpus
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -73,7 +73,7 @@ def reading_threads(samples: int, values: int) -> int:
     """
     if values < _FEW_VALUES:
         return 1
-    return 1 if samples == 1 or get_worker_info() is not None else min(2, available_threads())
+    return 1 if samples == 1 or get_worker_info() is not None else min(2, available_cpus())
 
 
 def new_batch(fields: Sequence[Field]) -> Batch | None:

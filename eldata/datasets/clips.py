@@ -15,7 +15,6 @@ from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.layouts import describe_layout
 from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand
-from eldata.sources.frames import Frame
 from eldata.sources.pairs import PairOpener
 
 if TYPE_CHECKING:
@@ -35,13 +34,8 @@ if TYPE_CHECKING:
     from eldata.raw.levels import Clip as Clipping
     from eldata.raw.levels import FrameLevels
     from eldata.records import FrameRecord
-    from eldata.sources.frames import FrameSource
+    from eldata.sources.frames import Frame, FrameSource
     from eldata.sources.pairs import OpenedPair
-
-
-def _keep_pixels(frame: Frame) -> Frame:
-    """Keep a frame as it is: the alternative to :meth:`Frame.without_pixels`."""
-    return frame  # which reads parts, and holds none
 
 
 class ClipWindows(CroppedItems):
@@ -178,7 +172,6 @@ class ClipWindows(CroppedItems):
 
         ``opened`` is the first reference, or the first frame of a clip without one.
         """
-        forget = _keep_pixels if self.reads_parts else Frame.without_pixels
         target, noisy = (opened, None) if record.reference is not None else (None, opened)
         del opened
         first: OpenedPair | None = None
@@ -187,12 +180,12 @@ class ClipWindows(CroppedItems):
                 if place:
                     target = self._opener.open_target(record.references[place])
                 yield Part("target", target, place if record.references else None, is_light=True)
-                target = forget(target)
+                target = target.without_pixels()
             pair = self._open_pair(path, target, first, noisy)
             noisy = None
             facts = {} if place else facts_of(record, pair) | {"start": record.start}
             yield Part("input", pair.input, place, pair.gain, facts=facts)
-            first = first or replace(pair, target=forget(pair.target), input=forget(pair.input))
+            first = first or replace(pair, target=pair.target.without_pixels(), input=pair.input.without_pixels())
             del pair
 
     def _open_pair(

@@ -122,9 +122,7 @@ def _find_offset(cfa: CfaRows, orientation: Orientation) -> tuple[int, int]:
 Region = tuple[int, int, int, int]
 
 _NO_CFA: CfaRows = ((0,),)
-_TURNED = {
-    dtype: dtype for dtype in (np.dtype(np.uint16), np.dtype(np.float32))
-}  # DN; simulated, or less a dark shading
+_TURNED = (np.dtype(np.uint16), np.dtype(np.float32))  # DN; simulated, or less a dark shading
 _AS_IT_IS = Orientation()
 
 
@@ -257,10 +255,9 @@ class Crop:
         It lies in memory that the thread's next call may overwrite.
         """
         cfa = self.cfa or _NO_CFA
-        kind = _TURNED.get(part.dtype)
-        if kind is None or self.orientation == _AS_IT_IS:
+        if part.dtype not in _TURNED or self.orientation == _AS_IT_IS:
             return turn_mosaic(part, cfa, self.orientation)[: self.height, : self.width]
-        copy = scratch("turned", (self.height, self.width), kind)
+        copy = scratch("turned", (self.height, self.width), part.dtype)
         copy_turned(part, cfa, self.orientation, copy)
         return copy
 

@@ -22,8 +22,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset, Sampler
 
-from eldata.base.compiled import available_threads
-from eldata.base.numbers import checked_whole
+from eldata.base.numbers import available_cpus, checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
 from eldata.base.workers import require_main_guard
 from eldata.datasets.items import keep_counts
@@ -453,7 +452,7 @@ def loader_workers(batch_bytes: int, prefetch: int, start_method: StartMethod, r
 
 def usable_cpus() -> int:
     """Count the CPUs that this process may use: its affinity, and the quota of its control group."""
-    cpus = available_threads()
+    cpus = available_cpus()
     quota, _, period = _read_text(_CGROUP / "cpu.max").partition(" ")
     if quota.isdecimal() and period.isdecimal() and int(period) > 0:
         cpus = min(cpus, max(1, int(quota) // int(period)))

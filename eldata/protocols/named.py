@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.fields import Fields, TextFile, names_of
+from eldata.base.fields import Fields, TextFile, names_of, shipped_toml
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, ManifestError, did_you_mean
 from eldata.metrics.registry import IMAGES
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from eldata.manifest.card import Card
 
 
-_CONTENT = TextFile(Path(__file__).parent / "shipped.toml", ArgumentError).toml().data
+_CONTENT = shipped_toml(Path(__file__).with_name("shipped.toml"))
 
 
 def _read_shipped(content: Mapping[str, Any]) -> dict[str, Protocol]:

@@ -73,12 +73,15 @@ class RawContainer:
         Of a TIFF-based file, in LibRaw's order; none of another.
     header
         Camera, exposure and time.
+    version
+        What tells it from another file under its name.
     """
 
     path: Path
     head: bytes
     directories: tuple[Directory, ...]
     header: RawHeader
+    version: tuple[int, ...]
 
     @cached_property
     def main(self) -> Directory | None:
@@ -119,7 +122,7 @@ def read_container(path: Path) -> RawContainer:
     directories: tuple[Directory, ...] = ()
     exif = image = Directory({})
     with path.open("rb") as file:
-        head = file.read(_HEAD)
+        head, version = file.read(_HEAD), version_of(os.fstat(file.fileno()))
         for kind, block in _exif_blocks(path, file, head):
             reader = TiffReader(path, block)
             if head.startswith(tiff.MAGIC):
@@ -131,7 +134,12 @@ def read_container(path: Path) -> RawContainer:
                 exif, _ = reader.read_first()
             else:
                 image, exif = reader.read_first()
-    return RawContainer(path, head, directories, _read_header(path, image, exif))
+    return RawContainer(path, head, directories, _read_header(path, image, exif), version)
+
+
+def version_of(status: os.stat_result) -> tuple[int, ...]:
+    """Return the size and what else tells a file from another one under its name."""
+    return status.st_size, status.st_mtime_ns, status.st_dev, status.st_ino
 
 
 def check_container(file: RawContainer) -> None:

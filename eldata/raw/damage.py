@@ -50,11 +50,7 @@ _HEADER = 1 << 16  # bytes to look for a stream's header in: most have some hund
 
 
 def check_damage(
-    path: Path,
-    directories: Sequence[Directory],
-    mosaic: NDArray[Any],
-    black_dn: Sequence[float],
-    white_dn: float,
+    path: Path, directories: Sequence[Directory], mosaic: NDArray[Any], black_dn: Sequence[float], white_dn: float
 ) -> None:
     """Raise :class:`RawFileError` if a decoded file shows that some of its data were lost.
 

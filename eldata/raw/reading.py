@@ -64,8 +64,9 @@ from fractions import Fraction
 from functools import cache
 from itertools import chain, product
 from math import isfinite, lcm
+from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -86,7 +87,7 @@ if TYPE_CHECKING:
     import rawpy
     from numpy.typing import NDArray
 
-    from eldata.raw.container import RawContainer, StoredRows
+    from eldata.raw.container import RawContainer
     from eldata.raw.levels import CfaRows
     from eldata.raw.tiff import Directory
     from eldata.records import Matrix3, RawHeader
@@ -143,7 +144,7 @@ def _read_facts(file: RawContainer, decode: bool) -> tuple[RawHeader, Sensor | R
     if not decode:
         return header, None
     try:
-        frame = _read_frame(file, _choose_decoder(None), prove=True)
+        frame = _read_frame(file, prove=True)
     except RawFileError as error:
         return header, error
     return replace(header, remarks=frame.remarks), frame.sensor
@@ -159,8 +160,7 @@ def _read_container(path: Path) -> RawContainer:
 
 def _read_header(file: RawContainer) -> RawHeader:
     """Read a header that LibRaw can open too, with its remarks and a DNG's mean black and white level, DN."""
-    form = form_of(file)
-    if form is None or verdicts.get(form) != "":
+    if verdicts.get(form_of(file)) != "":
         with open_raw(file):  # LibRaw knows it
             pass
     if file.main is None:
@@ -213,8 +213,7 @@ def read_raw(path: Path | str | StatedFile, decoder: Decoder | None = None) -> R
     """
     if isinstance(path, StatedFile):
         return path.read()
-    chosen = _choose_decoder(decoder)
-    return read_file(lambda path: _read_frame(_read_container(path), chosen), Path(path), RawFileError)
+    return read_file(lambda path: _read_frame(_read_container(path), decoder), Path(path), RawFileError)
 
 
 def open_frame(path: Path | StatedFile) -> tuple[RawFrame, Layout | None]:
@@ -224,55 +223,28 @@ def open_frame(path: Path | StatedFile) -> tuple[RawFrame, Layout | None]:
     """
     if isinstance(path, StatedFile):
         return path.read(), None
-    chosen = _choose_decoder(None)
-    return read_file(lambda path: _open_frame(_read_container(path), chosen), path, RawFileError)
+    return read_file(lambda path: _open_frame(_read_container(path)), path, RawFileError)
 
 
-def _choose_decoder(decoder: str | None) -> str:
-    """Choose the decoder that was asked for, or else that of the environment."""
+def _open_frame(
+    file: RawContainer, decoder: Decoder | None = None, *, prove: bool = False
+) -> tuple[RawFrame, Layout | None]:
+    """Read all but the pixels of a file whose layout LibRaw confirms, of the first of its form here; decode others."""
     chosen = decoder or os.environ.get(DECODER_VARIABLE) or "mapped"
     check_choice("decoder" if decoder else DECODER_VARIABLE, chosen, get_args(Decoder))
-    return chosen
-
-
-class _Known(NamedTuple):
-    """What LibRaw and the container tell of a file, but its pixels."""
-
-    sensor: Sensor
-    whites: tuple[float, ...] | None
-    corner: tuple[int, int]
-    """Of the visible area."""
-
-    def lay_out(self, path: Path, rows: StoredRows) -> Layout:
-        """Find where the pixels of the visible area lie."""
-        return Layout.of(path, rows, self.corner, (self.sensor.height, self.sensor.width))
-
-
-def _open_frame(file: RawContainer, decoder: str, *, prove: bool = False) -> tuple[RawFrame, Layout | None]:
-    """Read all but the pixels of a file whose layout LibRaw confirms, of the first of its form here; decode others."""
-    path, header, rows = file.path, file.header, file.rows
     remarks = _container_remarks(file)
-    check_samples(path, file.directories)
-    form = None if decoder == "libraw" else form_of(file)
-    if rows is not None and form is not None and (prove or form not in verdicts):
-        verdicts[form] = _compare(file, rows)
-    verdict = None if form is None else verdicts[form]
-    remarks += (verdict,) if verdict else ()
-    layout: Layout | None = None
-    if rows is not None and verdict == "":
-        known, _ = _decode(file, short=True)
-        layout = known.lay_out(path, rows)
-        mosaic: NDArray[np.uint16] = np.broadcast_to(np.uint16(0), (known.sensor.height, known.sensor.width))
-    else:
-        known, mosaic = _decode(file)
-    first = file.directories[0] if file.directories else tiff.Directory({})
-    noise = _read_noise_profile(file.main or first, first) if file.is_dng else None
-    exposure, orientation = header.exposure, header.orientation
-    frame = RawFrame(path, mosaic, known.sensor, exposure, known.whites, remarks, orientation, noise)
-    return (_examine(file, frame) if layout is None else frame), layout
+    check_samples(file.path, file.directories)
+    form = form_of(file) if chosen == "mapped" else ()
+    if form and (prove or form not in verdicts):
+        found = _compare(file)
+        verdicts[form] = verdicts.get(form) or found  # one that differs counts for all
+    verdict = verdicts.get(form)
+    frame, layout = _decode(file, short=verdict == "")
+    frame = replace(frame, remarks=remarks + ((verdict,) if verdict else ()))
+    return (frame, layout) if verdict == "" else (_examine(file, frame), None)
 
 
-def _read_frame(file: RawContainer, decoder: str, *, prove: bool = False) -> RawFrame:
+def _read_frame(file: RawContainer, decoder: Decoder | None = None, *, prove: bool = False) -> RawFrame:
     """Read a container's mosaic and its sensor's levels and colours; refuse damaged pixels."""
     frame, layout = _open_frame(file, decoder, prove=prove)
     return frame if layout is None else _examine(file, replace(frame, mosaic=layout.read_whole()))
@@ -285,9 +257,10 @@ def _examine(file: RawContainer, frame: RawFrame) -> RawFrame:
     return replace(frame, remarks=frame.remarks + border_remarks(frame.mosaic))
 
 
-def _decode(file: RawContainer, *, short: bool = False) -> tuple[_Known, NDArray[np.uint16]]:
-    """Decode a mosaic by LibRaw; if ``short``, only to know all else, from a copy without most of its rows."""
-    path, main, header = file.path, file.main, file.header
+def _decode(file: RawContainer, *, short: bool = False) -> tuple[RawFrame, Layout | None]:
+    """Decode a frame by LibRaw, but for its pixels if ``short``, from a copy of few rows; lay out what has rows."""
+    path, main, header, rows = file.path, file.main, file.header, file.rows
+    first = file.directories[0] if file.directories else tiff.Directory({})
     with open_raw(file, short=short) as raw:
         check_sizes(path, raw)
         if main is None:
@@ -302,26 +275,30 @@ def _decode(file: RawContainer, *, short: bool = False) -> tuple[_Known, NDArray
             black = dng_black_levels(path, main, raw, cfa) or black
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        first = file.directories[0] if file.directories else tiff.Directory({})
         matrix, illuminant = camera_matrix(raw, first)
         balance = as_shot_multipliers(raw, first)
-        mosaic, whites = raw.raw_image_visible.copy(), channel_whites(raw, index_of)
+        mosaic, whites = raw.raw_image_visible, channel_whites(raw, index_of)
         height, width = mosaic.shape
-        height += main.shape[0] - raw.sizes.raw_height if short and main is not None else 0
-        sensor = Sensor(header.make, header.model, cfa, black, white, height, width, balance, matrix, illuminant)
-        return _Known(sensor, whites, (raw.sizes.top_margin, raw.sizes.left_margin)), mosaic
+        height += rows.main.shape[0] - raw.sizes.raw_height if short and rows is not None else 0
+        corner = raw.sizes.top_margin, raw.sizes.left_margin
+        mosaic = np.broadcast_to(np.uint16(0), (height, width)) if short else mosaic.copy()
+    layout = None if rows is None else Layout.of(file, rows, corner, (height, width))
+    sensor = Sensor(header.make, header.model, cfa, black, white, height, width, balance, matrix, illuminant)
+    noise = _read_noise_profile(main or first, first) if file.is_dng else None
+    return RawFrame(path, mosaic, sensor, header.exposure, whites, (), header.orientation, noise), layout
 
 
-def _compare(file: RawContainer, rows: StoredRows) -> str:
+def _compare(file: RawContainer) -> str:
     """Compare a file as it is mapped with what LibRaw decodes: what differs, or nothing."""
     begin = "its pixels are decoded by LibRaw, not read where its tags place them: "
-    known, mosaic = _decode(file)
+    whole, place = _decode(file)
     try:
-        mapped, _ = _decode(file, short=True)
-        pixels = mapped.lay_out(file.path, rows).read_whole()
+        mapped, layout = _decode(file, short=True)
+        pixels = mapped.mosaic if layout is None else layout.read_whole()
     except RawFileError as error:
         return f"{begin}there, {error.reason}"
-    if mapped != known or pixels.shape != mosaic.shape:
+    mosaic, levels = whole.mosaic, attrgetter("sensor", "channel_white_levels_dn")
+    if layout != place or levels(mapped) != levels(whole) or pixels.shape != mosaic.shape:
         return f"{begin}by its tags alone it has another size, or other levels or colours"
     if (different := pixels != mosaic).any():
         row, column = divmod(int(different.argmax()), mosaic.shape[1])
@@ -371,15 +348,7 @@ def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader)
     >>> exposure_ratio(read_header(f"{folder}/IMG_0006.dng"), read_header(f"{folder}/IMG_0004.dng"))
     Fraction(100, 1)
     """
-    return _exposure_product(reference) / _exposure_product(noisy)
-
-
-def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
-    """Multiply ISO by exposure time in seconds; refuse a file that does not state both."""
-    for name, value in (("ISO", frame.exposure.iso), ("exposure time", frame.exposure.exposure_s)):
-        if value is None:
-            raise RawFileError(frame.path, f"states no {name}, and an exposure ratio needs it: use the original file")
-    return frame.exposure.iso * frame.exposure.exposure_s  # type: ignore[operator] # checked above
+    return reference.exposure.product(reference.path) / noisy.exposure.product(noisy.path)
 
 
 # --- LibRaw -----------------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.fields import shipped_toml
 from eldata.plots.axes import (
     MARKERS,
     deviation_band,
@@ -20,7 +21,7 @@ from eldata.plots.axes import (
     transfer_lines,
 )
 from eldata.plots.pictures import block_means, grey_png, limits
-from eldata.reports.html import digits, draw_plot, format_measured, plot_words, typeset
+from eldata.reports.html import TEMPLATES, digits, draw_plot, format_measured, typeset
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -82,7 +83,7 @@ def transfer_plot(record: IsoGain, transfer: PhotonTransfer) -> Plot:
         deviation_band(below, furthest, _LIMIT, theme)
         below.set_xlabel("signal [DN]")
 
-    more = "" if spatial is None else plot_words("calibration")["transfer"]["single_frames"]
+    more = "" if spatial is None else shipped_toml(TEMPLATES / "calibration.toml")["transfer"]["single_frames"]
     return _plot("transfer", record, alt, draw, ratio=2.6, more=more)
 
 
@@ -305,7 +306,7 @@ def _pictures(
     **words: str,
 ) -> Pictures:
     """Gather labelled and described planes on one scale; ``ends`` are its values where the planes are logarithms."""
-    of_kind = plot_words("calibration")[kind]
+    of_kind = shipped_toml(TEMPLATES / "calibration.toml")[kind]
     black, white = (f"{digits(limit)} {unit}" for limit in ends or scale)
     pictures = [(label, alt, grey_png(plane, *scale), *plane.shape[::-1]) for label, alt, plane in planes]
     caption = of_kind["caption"].format(**words)

@@ -15,15 +15,14 @@ import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jinja2
 
 from eldata import __version__
-from eldata.base.fields import TextFile
+from eldata.base.fields import shipped_toml
 from eldata.base.tables import with_error
 from eldata.base.visible import visible
-from eldata.errors import EldataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -48,12 +47,6 @@ def render_with_script(template: str, *more: str, **values: object) -> str:
     script = "\n".join((TEMPLATES / name).read_text(encoding="utf-8") for name in ("evaluation.js", *more))
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     return render_page(template, script=script, script_policy=f"; script-src 'sha256-{digest}'", **values)
-
-
-@cache
-def plot_words(report: str) -> Mapping[str, Any]:
-    """Return the title and the caption of each kind of plot and picture of a report, from its file of words."""
-    return TextFile(TEMPLATES / f"{report}.toml", EldataError).toml().data
 
 
 @cache
@@ -181,7 +174,7 @@ def draw_plot(
     """
     from eldata.plots.axes import DARK, LIGHT, empty_figure, use_style  # pages without plots do without matplotlib
 
-    said = plot_words(report)[kind]
+    said = shipped_toml(TEMPLATES / f"{report}.toml")[kind]
     buffer, name = io.BytesIO(), name or kind
     with use_style(LIGHT, **{"svg.hashsalt": name}):
         figure, axes = empty_figure(ratio)

@@ -231,8 +231,8 @@ class Frame:
         return replace(self, mosaic=Pixels(self.shape, np.dtype(np.float32), reads, self.reads_parts))
 
     def without_pixels(self) -> Frame:
-        """Copy the frame without its pixels."""
-        return replace(self, mosaic=np.broadcast_to(np.uint16(0), self.mosaic.shape))
+        """Copy the frame without its pixels; one that reads parts holds none."""
+        return self if self.reads_parts else replace(self, mosaic=np.broadcast_to(np.uint16(0), self.mosaic.shape))
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
         """Return a part, (rows, columns) in DN or (3, rows, columns), to be used before the thread reads the next."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.arrays import read_array
-from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
+from eldata.errors import ArgumentError, DatasetError, FileError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.raw.levels import packed_area, packed_shape, unpack
@@ -130,10 +130,9 @@ def find_ratio(record: Record, target: Frame | None, noisy: Frame, amplification
         return nominal
     if is_nominal and nominal is None:
         raise ArgumentError(f"{noisy.name}: the manifest states no ratio, so amplification must be 'metadata'")
-    products = [_exposure_product(frame, required=not is_nominal) for frame in (target, noisy)]
-    if products[0] is None or products[1] is None:
+    if is_nominal and any(None in (frame.exposure.iso, frame.exposure.exposure_s) for frame in (target, noisy)):
         return nominal
-    ratio = products[0] / products[1]
+    ratio = target.exposure.product(target.name) / noisy.exposure.product(noisy.name)
     if nominal is None and ratio < 1:
         raise DatasetError(
             f"{noisy.name}: is exposed {float(1 / ratio):g} times as much as its reference {target.name}; are they "
@@ -145,17 +144,6 @@ def find_ratio(record: Record, target: Frame | None, noisy: Frame, amplification
             f"{float(ratio):g}; are both the frames that their names say? (eldata verify finds all such files)"
         )
     return nominal if is_nominal else ratio
-
-
-def _exposure_product(frame: Frame, *, required: bool) -> Fraction | None:
-    """Return ISO times exposure time in seconds; if one is not stated ``None``, or RawFileError where required."""
-    iso, exposure_s = frame.exposure.iso, frame.exposure.exposure_s
-    if iso is not None and exposure_s is not None:
-        return iso * exposure_s
-    if required:
-        missing = "ISO" if iso is None else "exposure time"
-        raise RawFileError(frame.name, f"states no {missing}, and an exposure ratio needs it: use the original file")
-    return None
 
 
 def _read_packed(path: Path, target: Frame, exposure: Exposure) -> Frame:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from eldata.calibration.iso_results import CHECKS, read_sentences
+from eldata.base.fields import shipped_toml
+from eldata.calibration.iso_results import CHECKS, SENTENCES
 
 ROOT = Path(__file__).parents[2]
 DOCS = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
@@ -15,7 +16,7 @@ OF_FRAMES = [
     "… has the same pixels as … and was left out",
     "… were left out: their levels over black are …",
 ]  # frames.py
-REMARKS = [*OF_FRAMES, *(re.sub(r"\{[^}]*\}", "…", text) for text in read_sentences()["remarks"].values())]
+REMARKS = [*OF_FRAMES, *(re.sub(r"\{[^}]*\}", "…", text) for text in shipped_toml(SENTENCES)["remarks"].values())]
 
 
 def phrases() -> list[list[str]]:
@@ -35,7 +36,7 @@ def test_each_remark_is_documented_and_each_documented_one_is_made() -> None:
 
 def test_each_sentence_is_said() -> None:
     """By its name, whole, or with the last word chosen; and none is asked for that there is not."""
-    names = {f"{kind}.{name}" for kind, texts in read_sentences().items() for name in texts}
+    names = {f"{kind}.{name}" for kind, texts in shipped_toml(SENTENCES).items() for name in texts}
     asked = set(re.findall(r'fill_sentence\(\s*"([a-z.-]+)"', CODE))
     chosen = {"findings.even-steps", "findings.uneven-steps", "no-profile.k-withheld", "no-profile.no-k"}
     assert asked | chosen == names

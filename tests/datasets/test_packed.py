@@ -31,6 +31,7 @@ from eldata.manifest.card import Subset, save_card
 from eldata.raw.dng import write_dng
 from eldata.records import Records
 from eldata.sources.frames import Frame
+from eldata.sources.pairs import PairOpener
 from eldata.sources.store import build_store, source_of_dataset, verify_store
 from tests.datasets.comparing import same, same_frames
 from tests.drv_tree import RGB_SIZE, SENSOR, SmallDrv, write_raw_clip
@@ -141,13 +142,13 @@ def test_opening_a_store_opens_one_pair_of_each_kind(tmp_path: Path, monkeypatch
     path = write_small_store(tmp_path / "small.h5", 500)
     assert verify_store(path).ok
     opened: list[str] = []
-    open_pair = base.SourcePairs._open_pair
+    open_pair = PairOpener.open_pair
 
-    def counted(pairs: Any, record: Any) -> Any:
+    def counted(opener: Any, record: Any, target: Any) -> Any:
         opened.append(record.path)
-        return open_pair(pairs, record)
+        return open_pair(opener, record, target)
 
-    monkeypatch.setattr(base.SourcePairs, "_open_pair", counted)
+    monkeypatch.setattr(PairOpener, "open_pair", counted)
     pairs = PackedStore(path, crop=16)
     assert (len(pairs), len(opened)) == (450, 1)
     loader = training_loader(pairs, 4, num_workers=0)

@@ -14,10 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import rawpy
 import tifffile
 
+from eldata import __version__
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import mapped, read_header, read_raw, reading
+from eldata.raw.damage import check_samples
 from eldata.raw.reading import raw_facts
 from eldata.records import RawFrame
 from eldata.sources.frames import Files
@@ -165,8 +168,26 @@ def test_verify_compares_every_file(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     written(tmp_path / "a.dng")
     assert raw_facts(tmp_path / "a.dng", decode=True)[0].remarks == ()
     wrong = np.zeros((HEIGHT, WIDTH), np.uint16)
-    monkeypatch.setattr(mapped.Layout, "read_whole", lambda _: wrong)
-    assert "LibRaw has" in raw_facts(tmp_path / "a.dng", decode=True)[0].remarks[0]
+    with monkeypatch.context() as patch:
+        patch.setattr(mapped.Layout, "read_whole", lambda _: wrong)
+        assert "LibRaw has" in raw_facts(tmp_path / "a.dng", decode=True)[0].remarks[0]
+    raw_facts(tmp_path / "a.dng", decode=True)  # the same again does not confirm the form
+    assert not Files().frame(str(tmp_path / "a.dng")).reads_parts
+
+
+def test_a_file_replaced_while_it_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.dng"
+    written(path)
+    read_raw(path)
+    written(tmp_path / "b.dng", seed=1)
+
+    def replace_it(*arguments: Any) -> None:
+        check_samples(*arguments)
+        (tmp_path / "b.dng").replace(path)
+
+    monkeypatch.setattr("eldata.raw.reading.check_samples", replace_it)
+    with pytest.raises(RawFileError, match="was replaced"):
+        Files().frame(str(path)).read(slice(3), slice(3))
 
 
 def test_forms_are_confirmed_one_by_one(
@@ -176,6 +197,7 @@ def test_forms_are_confirmed_one_by_one(
         written(tmp_path / "a.dng", byteorder=order)
         check(tmp_path / "a.dng")
     assert len(nothing_is_confirmed) == 2
+    assert all(form[:2] == (__version__, rawpy.libraw_version) for form in nothing_is_confirmed)
     source = pickle.dumps(Files())
     nothing_is_confirmed.clear()
     pickle.loads(source)  # as a DataLoader sends it to its workers

@@ -129,12 +129,7 @@ def test_a_mishap_is_found_by_its_own_measure(tmp_path: Path, name: str) -> None
 
 def test_measures_have_the_values_that_were_planted(tmp_path: Path) -> None:
     """Each mishap of another frame, in one scene."""
-    mishaps = {
-        5: exposed("1/200", stated=False),
-        6: lit(2),
-        16: moved(5),
-        15: exposed("1/800", stated=True),
-    }
+    mishaps = {5: exposed("1/200", stated=False), 6: lit(2), 16: moved(5), 15: exposed("1/800", stated=True)}
     group = checked(tmp_path, mishaps, 2)
     assert value(group, "drift", 6).value == pytest.approx(2, abs=0.1)
     assert value(group, "shift", 16).value == pytest.approx(5, abs=0.1)

@@ -14,13 +14,7 @@ from capture.camera import EXAMPLE, Shutter
 from capture.capture_errors import CaptureError, ImpossibleShotError
 from capture.plan import Plan, make_plan
 from capture.protocol import PAPER, RELEASED, CaptureProtocol
-from capture.shots import (
-    choose_isos,
-    format_minutes,
-    plan_calibration,
-    plan_shots,
-    sum_duration_s,
-)
+from capture.shots import choose_isos, format_minutes, plan_calibration, plan_shots, sum_duration_s
 from tests.capture.simulated import CAMERA, plan_of
 from tests.cases import in_one_test
 from tests.shared import there

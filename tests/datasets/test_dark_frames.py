@@ -90,8 +90,7 @@ def above_black(path: Path | str) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize(
-    "cfa",
-    [BAYER["GRBG"], BAYER["RGGB"], XTRANS["xtrans-00"], XTRANS["xtrans-23"], QUAD["quad-01"], NONA["nona-20"]],
+    "cfa", [BAYER["GRBG"], BAYER["RGGB"], XTRANS["xtrans-00"], XTRANS["xtrans-23"], QUAD["quad-01"], NONA["nona-20"]]
 )
 def test_a_draw_is_the_frame_to_the_bit(cfa: Cfa, tmp_path: Path) -> None:
     """Of each kind of CFA, whole and by crops: in the dark, without dither, DN that are the file's minus black."""

@@ -80,6 +80,7 @@ def test_help_is_a_word_as_well_as_an_option(eldata: Cli) -> None:
         ("demo x --beside dct --calibration", "--beside is about the demo that scores"),
         ("demo x --scenes 2 --calibration", "--scenes is about photographs of scenes"),
         ("demo x --without shading", "--without is about calibration frames"),
+        ("demo x --calibration --seed -1", "seed must be 0 or more; found -1"),
         ("evaluate x", "one of the arguments --dataset --manifest is required"),
         ("evaluate --dataset eld", "one of the arguments PREDS --baseline is required"),
         ("evaluate x --dataset eld --clip 0007", "(in Python ids=[...]) is for datasets of clips, such as drv"),

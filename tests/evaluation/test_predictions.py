@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import pickle
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from eldata.evaluation.predictions import load_colours
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure
+from tests.bait import Bait
 from tests.evaluation import hostile_predictions as hostile
 from tests.evaluation import oracle
 from tests.evaluation.helpers import SIZE, Tree, place
@@ -232,16 +232,6 @@ def test_bait(tmp_path: Path) -> None:
     np.save(tmp_path / "bait.npy", np.array([Bait(tmp_path / "marker")], dtype=object), allow_pickle=True)
     np.load(tmp_path / "bait.npy", allow_pickle=True)
     assert (tmp_path / "marker").is_dir()
-
-
-class Bait:
-    """A pickle that makes a folder when it is loaded."""
-
-    def __init__(self, marker: Path) -> None:
-        self.marker = marker
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.mkdir, (str(self.marker),)
 
 
 def pickled_npy(path: Path, bait: Bait) -> None:

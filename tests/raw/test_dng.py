@@ -191,15 +191,9 @@ def test_tifffile_reads_pixels_and_tags(name: str, compression: Compression, tmp
         ]
         assert page.tags[50717].value == 15871
         # Black by place in the CFA: the R of the pattern carries the R level and so on.
-        expected = {
-            "BGGR": [511, 514, 509, 512],
-            "xtrans-23": [256] * 36,
-            "quad-32": [511, 511, 514, 514] + [509, 509, 512, 512] * 2 + [511, 511, 514, 514],
-            "nona-52": [514, 511, 511, 511, 514, 514] + [512, 509, 509, 509, 512, 512] * 3
-            + [514, 511, 511, 511, 514, 514] * 2,
-        }[name]  # fmt: skip
+        black = (256,) * 3 if name.startswith("xtrans") else (512, 509, 511, 514)
         assert page.tags[50713].value == (len(cfa), len(cfa))
-        assert list(page.tags[50714].value) == expected
+        assert list(page.tags[50714].value) == [black[channel] for row in cfa for channel in row]
         codes = [tag.code for tag in page.tags]
         assert codes == sorted(codes)  # TIFF 6.0 asks for ascending tags
 
@@ -219,9 +213,7 @@ def matrix(value: float) -> tuple[tuple[float, ...], ...]:
     [
         ("iso = 1001/10 is not a positive whole number", Exposure(iso=Fraction(1001, 10))),
         ("iso = 0", Exposure(iso=Fraction(0))),
-        ("iso = 4294967296", Exposure(iso=Fraction(2**32))),
         ("exposure_s = 0", Exposure(exposure_s=Fraction(0))),
-        ("exposure_s = -1/30", Exposure(exposure_s=Fraction(-1, 30))),
         ("exposure_s = 1/4294967296", Exposure(exposure_s=Fraction(1, 2**32))),
         ("f_number = 4294967296", Exposure(f_number=Fraction(2**32))),
     ],

@@ -105,11 +105,10 @@ def memory_card(folder: Path) -> None:
     plan.save(folder / "plan.json")
 
 
-DATA, FRAMES, HALVED = (
-    "../inputs/tree/data",
-    "../inputs/frames/data/calibration",
-    "tests.baselines.test_predicting:halved",
-)
+DATA = "../inputs/tree/data"
+FRAMES = "../inputs/frames/data/calibration"
+CARD = "../inputs/plan.json ../inputs/card -o manifests/mine.csv"
+HALVED = "tests.baselines.test_predicting:halved"
 ELD = f"--root {DATA} --manifest ../inputs/tree/manifests/eld-demo.csv"
 CASES = {
     "pack": Case(f"eldata pack eld-demo -o store.h5 {ELD} --jobs 1", demo_tree),
@@ -120,10 +119,7 @@ CASES = {
     "baseline": Case(f"eldata baseline input {ELD} -o preds --jobs 1", demo_tree),
     "predict": Case(f"eldata predict {HALVED} {ELD} -o preds --tile 16 --overlap 0", demo_tree),
     "calibrate": Case(f"eldata calibrate {FRAMES} -o p.json --json d.json --jobs 1", calibration_frames),
-    "capture-manifest": Case(
-        "capture manifest ../inputs/plan.json ../inputs/card -o manifests/mine.csv --copy-to data/mine --jobs 1",
-        memory_card,
-    ),
+    "capture-manifest": Case(f"capture manifest {CARD} --copy-to data/mine --jobs 1", memory_card),
 }
 
 

@@ -333,8 +333,6 @@ def test_paper(page: Page) -> None:
     take(page)
     assert len(re.findall(rb"/Type\s*/Page\b", page.pdf())) == 5
     page.send("Emulation.setEmulatedMedia", media="print")
-    assert (
-        page.run("every('button, select, progress').filter((e) => e.checkVisibility() && !e.matches('.fold')).length")
-        == 0
-    )
+    shown = "every('button, select, progress').filter((e) => e.checkVisibility() && !e.matches('.fold')).length"
+    assert page.run(shown) == 0
     assert page.run("every('.shot, .notes input').every((e) => e.checkVisibility())")

@@ -166,6 +166,7 @@ def save_dng(path: Path, mosaic: NDArray[Any], cfa: tuple[tuple[int, ...], ...] 
 
 DEFLATED = tif(compression="zlib", byteorder=">")
 SHAPES = [str(PACKED), str(SIZE)]
+SEVERAL = ["one array", "'prediction'", "first, second"]
 
 # extension, writer, words that the reason must have: what was expected, what was found, what to do.
 BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
@@ -178,12 +179,8 @@ BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "dn": (".npy", npy(lambda: good() * 15871), ["[0, 1]", "DN", "divide", "15871"]),
     "uint8": (".npy", npy(lambda: (good() * 255).astype(np.uint8)), ["float", "uint16", "uint8", "convert"]),
     "complex": (".npy", npy(lambda: good().astype(np.complex64)), ["float", "complex64", "convert"]),
-    "npz-several": (
-        ".npz",
-        lambda path: np.savez(path, first=good(), second=good()),
-        ["one array", "'prediction'", "first, second"],
-    ),
-    "h5-several": (".h5", several_datasets, ["one array", "'prediction'", "first, second"]),
+    "npz-several": (".npz", lambda path: np.savez(path, first=good(), second=good()), SEVERAL),
+    "h5-several": (".h5", several_datasets, SEVERAL),
     "png-8-bit": (".png", png(lambda: (oracle_mosaic() * 255).astype(np.uint8)), ["uint16", "uint8"]),
     "png-rgba": (".png", png(lambda: np.full((*SIZE, 4), 999, np.uint16)), [*SHAPES, "(64, 96, 4)", "PNG", "grey"]),
     # Packed channels have the shape of a channels-last array, but no PNG can be channels-first.

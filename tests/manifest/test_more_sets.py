@@ -36,9 +36,7 @@ def test_lrid_has_the_files_of_the_info_files() -> None:
     for part, (scenes, gains) in LRID.items():
         of_part = [record for record in records if record.path.startswith(f"{part}/")]
         references = [record for record in of_part if record.role == "reference"]
-        assert [record.path for record in references] == [
-            f"{part}/npy/GT_align_ours/{number:03d}.npy" for number in range(scenes)
-        ]
+        assert [one.path for one in references] == [f"{part}/npy/GT_align_ours/{n:03d}.npy" for n in range(scenes)]
         found = Counter((record.ratio, record.scene) for record in of_part if record.role == "noisy")
         expected = {(Fraction(gain), f"{part}-{number:03d}"): 10 for gain in gains for number in range(scenes)}
         if part == "indoor_x5":

@@ -275,6 +275,7 @@ def test_two_processes_with_uneven_batches(tmp_path: Path) -> None:
     [
         (torch.zeros(2, 4, 8, 8), torch.zeros(3, 4, 8, 8), r"differ in shape: \(2, 4, 8, 8\) against \(3, 4, 8, 8\)"),
         (torch.zeros(1, 1, 4, 8, 8), torch.zeros(1, 1, 4, 8, 8), r"found shape \(1, 1, 4, 8, 8\)"),
+        (torch.zeros(8), torch.zeros(8), r"found shape \(8,\)"),
         (torch.zeros(4, 8, 8, dtype=torch.uint8), torch.zeros(4, 8, 8), "holds integers"),
         (np.zeros((4, 8, 8), np.float32), torch.zeros(4, 8, 8), "preds must be a torch tensor, not ndarray"),
         (torch.zeros(4, 8, 8), [0.0], "target must be a torch tensor, not list"),

@@ -426,6 +426,7 @@ def test_an_iso_belongs_to_one_mode_and_nothing_is_known_between_them() -> None:
     for options, text in (
         ({"iso": 2000}, "ISO 3200 to 12800: which of them the camera has between ISO 1600 and 3200 was not measured"),
         ({"gain_dn_per_e": 2.0}, "K 2 DN/e- lies outside of the gain modes of Acme Nocturne 2, 0.2 to 1.6 and 3.2 to"),
+        ({"gain_dn_per_e": 0.1}, "K 0.1 DN/e- lies outside of the gain modes"),
         ({"gain_dn_per_e": 12.8 * 1.015}, "K 12.99 DN/e- lies outside of the gain modes"),
         ({"iso": 25600}, "outside of the calibrated range 200 to 12800"),
     ):

@@ -211,6 +211,7 @@ def matrix(value: float) -> tuple[tuple[float, ...], ...]:
     [
         ("iso = 1001/10 is not a positive whole number", Exposure(iso=Fraction(1001, 10))),
         ("iso = 0", Exposure(iso=Fraction(0))),
+        ("iso = 4294967296", Exposure(iso=Fraction(2**32))),
         ("exposure_s = 0", Exposure(exposure_s=Fraction(0))),
         ("exposure_s = 1/4294967296", Exposure(exposure_s=Fraction(1, 2**32))),
         ("f_number = 4294967296", Exposure(f_number=Fraction(2**32))),

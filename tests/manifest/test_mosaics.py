@@ -299,8 +299,8 @@ def test_the_first_that_fits_camera_and_path_counts(tmp_path: Path) -> None:
     loaded = load_manifest(path)
     card = replace(loaded.card, mosaics=(own, other, FACTS))
     files = FrameFiles.of(tmp_path, card, loaded.records)
-    for path, (facts, _) in files.stated.items():
-        assert facts.cfa == ("RGGB" if path.startswith("a/") else CFA)
+    for place, (facts, _) in files.stated.items():
+        assert facts.cfa == ("RGGB" if place.startswith("a/") else CFA)
     assert len(files.stated) == 4
     save_card(tmp_path / "card.json", card)
     assert load_card(tmp_path / "card.json") == card

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from tests.capture.checklist_browser import Browser
+    from tests.capture.checklist_browser import Browser, Page
     from tests.trees import Tree
 
 # A run that was started in the background of a shell ignores Ctrl-C, one under nohup the end of its terminal, and so
@@ -100,6 +100,17 @@ def browser(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     running = Browser(chromium, tmp_path_factory.mktemp("browser"))
     yield running
     running.close()
+
+
+@pytest.fixture
+def bare(browser: Browser, tmp_path: Path) -> Iterator[Page]:
+    """An empty page on a desk. With what is opened in it nothing may go wrong."""
+    from tests.capture.checklist_browser import Page
+
+    page = Page(browser, tmp_path, 1280, 900)
+    yield page
+    assert page.problems() == []  # nothing from the network, no error, nothing against the policy
+    page.close()
 
 
 @pytest.fixture(scope="session", autouse=True)

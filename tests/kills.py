@@ -57,14 +57,14 @@ STEPS = frozenset(("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", 
 class Case:
     """A command: what it reads (``inputs``, made once), the folder of it that is copied at first, and its arguments."""
 
-    program: str
-    arguments: str
+    line: str
     inputs: Callable[[Path], object]
     copied: str = ""
 
     def main(self) -> int:
-        main: Callable[[list[str]], int] = import_module(f"{self.program}.cli.main").main
-        return main(self.arguments.split())
+        program, *arguments = self.line.split()
+        main: Callable[[list[str]], int] = import_module(f"{program}.cli.main").main
+        return main(arguments)
 
 
 def demo_tree(folder: Path) -> None:
@@ -105,29 +105,21 @@ def memory_card(folder: Path) -> None:
     plan.save(folder / "plan.json")
 
 
-ELD = "--root ../inputs/tree/data --manifest ../inputs/tree/manifests/eld-demo.csv"
+DATA = "../inputs/tree/data"
+FRAMES = "../inputs/frames/data/calibration"
+CARD = "../inputs/plan.json ../inputs/card -o manifests/mine.csv"
+HALVED = "tests.baselines.test_predicting:halved"
+ELD = f"--root {DATA} --manifest ../inputs/tree/manifests/eld-demo.csv"
 CASES = {
-    "pack": Case("eldata", f"pack eld-demo -o store.h5 {ELD} --jobs 1", demo_tree),
-    "pack-lz4": Case("eldata", "pack ../inputs/clean -o store.h5 --compression lz4 --jobs 1", clean_raws),
-    "lock": Case(
-        "eldata", "lock manifests/eld-demo.csv --root ../inputs/tree/data --jobs 1", demo_tree, "tree/manifests"
-    ),
-    "synthesize": Case(
-        "eldata", "synthesize ../inputs/clean -o set --camera SonyA7S2 --per-image 2 --jobs 1", clean_raws
-    ),
-    "evaluate": Case("eldata", f"evaluate ../inputs/preds ../inputs/others {ELD} -o results --jobs 1", predictions),
-    "baseline": Case("eldata", f"baseline input {ELD} -o preds --jobs 1", demo_tree),
-    "predict": Case(
-        "eldata", f"predict tests.baselines.test_predicting:halved {ELD} -o preds --tile 16 --overlap 0", demo_tree
-    ),
-    "calibrate": Case(
-        "eldata", "calibrate ../inputs/frames/data/calibration -o p.json --json d.json --jobs 1", calibration_frames
-    ),
-    "capture-manifest": Case(
-        "capture",
-        "manifest ../inputs/plan.json ../inputs/card -o manifests/mine.csv --copy-to data/mine --jobs 1",
-        memory_card,
-    ),
+    "pack": Case(f"eldata pack eld-demo -o store.h5 {ELD} --jobs 1", demo_tree),
+    "pack-lz4": Case("eldata pack ../inputs/clean -o store.h5 --compression lz4 --jobs 1", clean_raws),
+    "lock": Case(f"eldata lock manifests/eld-demo.csv --root {DATA} --jobs 1", demo_tree, "tree/manifests"),
+    "synthesize": Case("eldata synthesize ../inputs/clean -o set --camera SonyA7S2 --per-image 2 --jobs 1", clean_raws),
+    "evaluate": Case(f"eldata evaluate ../inputs/preds ../inputs/others {ELD} -o results --jobs 1", predictions),
+    "baseline": Case(f"eldata baseline input {ELD} -o preds --jobs 1", demo_tree),
+    "predict": Case(f"eldata predict {HALVED} {ELD} -o preds --tile 16 --overlap 0", demo_tree),
+    "calibrate": Case(f"eldata calibrate {FRAMES} -o p.json --json d.json --jobs 1", calibration_frames),
+    "capture-manifest": Case(f"capture manifest {CARD} --copy-to data/mine --jobs 1", memory_card),
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import h5py
 import imagecodecs
@@ -21,7 +21,7 @@ from eldata.evaluation.predictions import load_prediction
 from eldata.manifest.card import load_card
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.table import load_records
-from eldata.noise import CameraProfile, DarkShading, ShadingIso
+from eldata.noise import CameraProfile, DarkShading
 from eldata.protocols.named import load_protocol
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
@@ -29,6 +29,7 @@ from eldata.sources.store import build_store, source_of_dataset
 from eldata.sources.store.read import Store
 from tests.capture.simulated import hostile_plan
 from tests.download.helpers import contents, sevenzipped, zipped
+from tests.planted_shading import shading_of
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor
 from tests.trees import build_tree
 
@@ -62,15 +63,6 @@ def write_store(path: Path) -> None:
     tree = build_tree(path.parent / "tree")
     source = source_of_dataset("eld-demo", root=tree.root, manifest=tree.csv, cameras=["DemoBeta"], isos=[800])
     build_store(source, path)
-
-
-def write_shading(path: Path) -> None:
-    levels: dict[str, Any] = {"level_error_dn": (1.5, 0.0, -0.5, 2.0), "standard_error_dn": (0.1,) * 4}
-    slope, offset = np.random.default_rng(6).normal(0, 1, (2, 1, 12, 16)).astype(np.float32)
-    isos = (ShadingIso(iso=400, mode=0, frames=9, sigma_dn=2.5, **levels),)
-    hot = np.zeros((12, 16), bool)
-    about: dict[str, Any] = {"camera": "Demo", "source": "a test", "cfa": ((1, 0), (2, 3)), "isos": isos}
-    DarkShading(**about, slope_dn=slope, offset_dn=offset, hot=hot).save(path)
 
 
 def write_protocol(path: Path) -> None:
@@ -115,7 +107,7 @@ KINDS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
     "profile.json": (lambda path: CameraProfile.load("SonyA7S2").save(path), CameraProfile.load),
     "protocol.toml": (write_protocol, load_protocol),
     "plan.json": (lambda path: hostile_plan().save(path), Plan.load),
-    "shading.npz": (write_shading, DarkShading.load),
+    "shading.npz": (lambda path: shading_of(make_sensor(height=12, width=16), (400,)).save(path), DarkShading.load),
     "store.h5": (write_store, read_store),
     "x.zip": (lambda path: path.write_bytes(zipped(contents(400))), unpack),
     "x.7z": (lambda path: path.write_bytes(sevenzipped(contents(400))), unpack),

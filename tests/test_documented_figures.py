@@ -39,11 +39,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.mark.study
 @pytest.mark.parametrize("command", COMMANDS, ids=map(", ".join, COMMANDS.values()))
 def test_a_command_prints_what_documents_show(
-    command: str,
-    demo: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    command: str, demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A line may be cut off at its end; "..." stands for lines that are left out, and nothing else may be."""
     (tmp_path / "eldata-demo").symlink_to(demo / "eldata-demo")

@@ -267,12 +267,10 @@ def test_files_and_links_inside(root: Path) -> None:
     ("link", "target", "path"),
     [
         ("leak", "../secret", "leak"),
-        ("leak", "..", "leak/secret"),
         ("leak", "/", "leak/etc/passwd"),
         ("leak", "../data-other", "leak/a.ARW"),  # its path begins with the root's as text
         ("leak", "../gone", "leak"),
         ("leak", "../gone", "leak/deeper"),
-        ("scene-1/leak", "../../secret", "scene-1/leak"),
         ("leak", "first/../../secret", "leak"),  # by way of another link
         ("leak", "leak", "leak/a.ARW"),  # a loop
     ],

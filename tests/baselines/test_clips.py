@@ -290,9 +290,7 @@ def test_what_makes_a_network_and_what_is_one() -> None:
         assert load_network(f"{HERE}:{name}", device="cpu").run(image).shape == (3, 4, 4)
     np.testing.assert_array_equal(load_network(f"{HERE}:any_images", device="cpu").run(image), 2 * image)
     np.testing.assert_array_equal(load_network("torch:relu", device="cpu").run(image), image)
-    with pytest.raises(
-        ArgumentError, match=r"torch.nn:Conv2d is a class whose in_channels, out_channels, kernel_size nobody gives"
-    ):
+    with pytest.raises(ArgumentError, match=r"torch.nn:Conv2d is a class whose in_channels, out_channels, kernel_size"):
         load_network("torch.nn:Conv2d", device="cpu")
 
 

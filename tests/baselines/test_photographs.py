@@ -250,11 +250,7 @@ def test_several_files_go_on_after_one_that_fails(tmp_path: Path, capsys: pytest
     ],
 )
 def test_what_is_asked_for_is_refused_before_any_work(
-    options: list[str],
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    options: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.dng").write_bytes(b"not a raw file")

@@ -8,7 +8,6 @@ import re
 import shutil
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,10 +28,13 @@ from eldata.errors import ArgumentError, EldataError, FileError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.request import SETTINGS
 from eldata.noise.profile import CameraProfile
+from tests.bait import Bait
 from tests.baselines.travelling import Travelling
 from tests.onnx_file import onnx_network
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from eldata.baselines.noisy_frames import NoisyFrame
     from eldata.baselines.predicting import Denoiser
     from tests.trees import Tree
@@ -360,7 +362,7 @@ def test_what_is_not_a_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     torch.save(INSTANCE, tmp_path / "model.pth")
     torch.save({"other": torch.zeros(3)}, tmp_path / "other.pth")
     (tmp_path / "bad.onnx").write_bytes(b"nothing")
-    (tmp_path / "plain.pkl").write_bytes(pickle.dumps(Canary(tmp_path / "sung")))
+    (tmp_path / "plain.pkl").write_bytes(pickle.dumps(Bait(tmp_path / "sung")))
     (tmp_path / "cut.safetensors").write_bytes(b"\x40" + bytes(9))
     (tmp_path / "net.onnx").write_bytes(onnx_network())
     (tmp_path / "bad.pt2").write_bytes(b"nothing")
@@ -389,16 +391,6 @@ def test_what_is_not_a_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         with pytest.raises((ArgumentError, FileError), match=re.escape(words)):
             load_network(model, **options)
     assert not (tmp_path / "sung").exists()
-
-
-class Canary:
-    """What sings when it is unpickled: it makes a folder."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> Any:
-        return Path.mkdir, (self.path,)
 
 
 def exported(path: Path, module: torch.nn.Module) -> Path:

@@ -172,9 +172,7 @@ def test_wrong_gains(pristine: FrameTree, found: Calibration) -> None:
         calibrate(pristine.root, gains=shipped)
     other = replace(shipped, camera="DemoGamma")
     assert stated_gains(pristine.frames(), other)[1600] == other.gain_at_iso(1600)
-    elsewhere = replace(
-        found.profile, iso_range=(25600.0, 51200.0), rows=(replace(found.profile.rows[0], iso=25600.0),)
-    )
+    elsewhere = replace(found.profile, iso_range=(25600, 51200), rows=(replace(found.profile.rows[0], iso=25600),))
     with pytest.raises(ArgumentError, match=r"knows K at none of the frames' ISOs \(100, 400, 1600\)"):
         calibrate(pristine.root, gains=elsewhere)
 

@@ -158,11 +158,7 @@ def test_flats_without_a_line() -> None:
 
 @in_one_test(
     "pairs, setting",
-    [
-        *((unequal(step), QUIET) for step in (0.04, -0.2)),
-        (unequal(0.2), LOUD),
-        (unequal(0.25), Setting()),
-    ],
+    [*((unequal(step), QUIET) for step in (0.04, -0.2)), (unequal(0.2), LOUD), (unequal(0.25), Setting())],
 )
 def test_pairs_of_unequal_light(pairs: Callable[..., list[Pair]], setting: Setting) -> None:
     """4 % with 1 % of PRNU made K 3 % too large at K = 0.09, 20 % made it 78 %."""

@@ -20,7 +20,6 @@ from eldata.calibration.frames import odd_bias_frames, odd_sensors, sort_frames
 from eldata.calibration.one_iso import decodings
 from eldata.errors import DatasetError
 from eldata.manifest.table import load_records, save_records
-from eldata.raw import read_raw, write_dng
 from eldata.records import FrameRecord, Sensor
 from tests.calibration.simulation import BAYER, Body, Camera
 from tests.calibration.trees import calibrated_iso, make_tree, problems_of, relative, rewritten
@@ -75,11 +74,6 @@ def test_good_frames_are_sorted_out(pristine: FrameTree) -> None:
 # --- headers ----------------------------------------------------------------------------------------------------------
 
 
-def without_time(path: Path) -> None:
-    raw = read_raw(path)
-    write_dng(path, raw.mosaic, raw.sensor, replace(raw.exposure, exposure_s=None))
-
-
 def leading_outside(path: Path) -> None:
     outside = path.parents[5] / "outside.dng"
     path.rename(outside)
@@ -88,15 +82,11 @@ def leading_outside(path: Path) -> None:
 
 HEADERS: dict[str, tuple[Callable[[Path], object], str, list[str]]] = {
     "not raw": (lambda path: path.write_bytes(b"a text\n" * 100), "content", ["a whole raw file"]),
-    "other model": (
-        lambda path: rewritten(path, model="Another"),
-        "camera",
-        ["Demo Gamma", "Another", "its own camera"],
-    ),
+    "other model": (partial(rewritten, model="Another"), "camera", ["Demo Gamma", "Another", "its own camera"]),
     "other ISO": (partial(rewritten, iso=Fraction(200)), "iso", ["200", "folder"]),
-    "no exposure time": (without_time, "exposure", ["no exposure time", "lost its EXIF"]),
+    "no exposure time": (partial(rewritten, exposure_s=None), "exposure", ["no exposure time", "lost its EXIF"]),
     "other time": (
-        lambda path: rewritten(path, exposure_s=Fraction(1, 4)),
+        partial(rewritten, exposure_s=Fraction(1, 4)),
         "exposure_s",
         ["1/8000 s like the other bias frames of ISO 1600", "1/4 s"],
     ),
@@ -153,11 +143,7 @@ def noisier(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
 PIXELS: dict[str, tuple[Callable[[Path], None], str, list[str]]] = {
     "light": (partial(rewritten, mosaic=lambda dn: dn + np.uint16(300)), "level", ["lens without its cap"]),
     "noise of another ISO": (partial(rewritten, mosaic=noisier), "noise", ["DN as in the others"]),
-    "size": (
-        lambda path: rewritten(path, mosaic=lambda dn: dn[:-2]),
-        "height",
-        ["256 as in DemoGamma/bias/ISO100/", "254"],
-    ),
+    "size": (partial(rewritten, mosaic=lambda dn: dn[:-2]), "height", ["256 as in DemoGamma/bias/ISO100/", "254"]),
     "CFA phase": (partial(rewritten, cfa=((1, 0), (2, 3))), "cfa", ["((0, 1), (3, 2))", "((1, 0), (2, 3))"]),
     "black level": (partial(rewritten, black_level_dn=(500.0,) * 4), "black_level_dn", ["512", "500"]),
 }

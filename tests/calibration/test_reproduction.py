@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -21,17 +21,14 @@ if TYPE_CHECKING:
 
 FRAMES = 8
 SHAPE = (512, 768)
+NO_PATTERN: dict[str, Any] = dict.fromkeys(("dsnu", "column_pattern", "hot_share"), 0.0)
 CAMERAS = {
     "middle": Camera(shape=SHAPE),
-    "heavy tails, no pattern": Camera(
-        shape=SHAPE, tukey_lambda=-0.1, sigma_tl=6.0, sigma_row=1.5, dsnu=0.0, column_pattern=0.0, hot_share=0.0
-    ),
+    "heavy tails, no pattern": Camera(shape=SHAPE, tukey_lambda=-0.1, sigma_tl=6.0, sigma_row=1.5, **NO_PATTERN),
     "light tails, shading": Camera(shape=SHAPE, tukey_lambda=0.15, sigma_tl=3.0, shading=3.0, hot_share=1e-3),
     # Rounding leaves ripples, which the pixels' fixed levels blur.
     "quiet": Camera(shape=SHAPE, gain=0.4, tukey_lambda=0.11, sigma_tl=0.77, sigma_row=0.14, dsnu=0.38),
-    "quiet, no pattern": Camera(
-        shape=SHAPE, tukey_lambda=0.11, sigma_tl=0.77, sigma_row=0.14, dsnu=0.0, column_pattern=0.0, hot_share=0.0
-    ),
+    "quiet, no pattern": Camera(shape=SHAPE, tukey_lambda=0.11, sigma_tl=0.77, sigma_row=0.14, **NO_PATTERN),
     "X-Trans": Camera(shape=(516, 768), cfa=XTRANS, bias=(1.0, -0.5, 0.3), shading=1.0),
 }
 

@@ -17,7 +17,6 @@ from eldata.raw.reading import read_raw
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from fractions import Fraction
     from pathlib import Path
 
     import numpy as np
@@ -78,16 +77,14 @@ def rewritten(
     path: Path,
     *,
     mosaic: Callable[[NDArray[np.uint16]], NDArray[np.uint16]] | None = None,
-    exposure_s: Fraction | None = None,
-    iso: Fraction | None = None,
-    **sensor: Any,
+    **fields: Any,
 ) -> None:
     """Write a raw file again with other pixels, exposure, or fields of its sensor."""
     raw = read_raw(path)
     pixels = raw.mosaic if mosaic is None else mosaic(raw.mosaic)
-    changed = replace(raw.sensor, **{"height": pixels.shape[0], "width": pixels.shape[1], **sensor})
-    exposure = replace(raw.exposure, iso=iso or raw.exposure.iso, exposure_s=exposure_s or raw.exposure.exposure_s)
-    write_dng(path, pixels, changed, exposure, compression="lossless-jpeg")
+    exposure = {name: fields.pop(name) for name in ("iso", "exposure_s") if name in fields}
+    changed = replace(raw.sensor, **{"height": pixels.shape[0], "width": pixels.shape[1], **fields})
+    write_dng(path, pixels, changed, replace(raw.exposure, **exposure), compression="lossless-jpeg")
 
 
 def problems_of(frames: CalibrationFrames) -> list[Problem]:

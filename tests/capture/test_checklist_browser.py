@@ -16,12 +16,12 @@ from capture.checklist import html_checklist, make_rows
 from capture.cli import main
 from capture.plan import Plan, make_plan
 from capture.protocol import RELEASED, CaptureProtocol
-from tests.capture.checklist_browser import Browser, Page
 from tests.capture.simulated import HOSTILE, hostile_plan
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
+
+    from tests.capture.checklist_browser import Page
 
 pytestmark = pytest.mark.browser
 
@@ -52,11 +52,10 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def bare(browser: Browser, tmp_path: Path) -> Iterator[Page]:
-    page = Page(browser, tmp_path, 390, 844)
-    yield page
-    assert page.problems() == []  # nothing from the network, no error, nothing against the policy
-    page.close()
+def bare(bare: Page) -> Page:
+    """It on a phone."""
+    bare.resize(390)
+    return bare
 
 
 def show(page: Page, plan: Plan) -> Page:
@@ -334,8 +333,6 @@ def test_paper(page: Page) -> None:
     take(page)
     assert len(re.findall(rb"/Type\s*/Page\b", page.pdf())) == 5
     page.send("Emulation.setEmulatedMedia", media="print")
-    assert (
-        page.run("every('button, select, progress').filter((e) => e.checkVisibility() && !e.matches('.fold')).length")
-        == 0
-    )
+    shown = "every('button, select, progress').filter((e) => e.checkVisibility() && !e.matches('.fold')).length"
+    assert page.run(shown) == 0
     assert page.run("every('.shot, .notes input').every((e) => e.checkVisibility())")

@@ -238,12 +238,7 @@ def test_a_scene_on_two_cards(tmp_path: Path) -> None:
     card = nights.csv.with_suffix(".json")
     card.write_text(card.read_text().replace('"licence": "not stated"', '"licence": "CC0"'))
     output = nights.add(plan, two)
-    for words in (
-        "has 26 of the plan's 48 shots",
-        "22 of 22 shots have a file",
-        "48 files below",
-        "22 of them new",
-    ):
+    for words in ("has 26 of the plan's 48 shots", "22 of 22 shots have a file", "48 files below", "22 of them new"):
         assert words in output
     assert nights.problems() == []
     manifest = load_manifest(nights.csv)

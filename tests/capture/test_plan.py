@@ -14,13 +14,7 @@ from capture.camera import EXAMPLE, Shutter
 from capture.capture_errors import CaptureError, ImpossibleShotError
 from capture.plan import Plan, make_plan
 from capture.protocol import PAPER, RELEASED, CaptureProtocol
-from capture.shots import (
-    choose_isos,
-    format_minutes,
-    plan_calibration,
-    plan_shots,
-    sum_duration_s,
-)
+from capture.shots import choose_isos, format_minutes, plan_calibration, plan_shots, sum_duration_s
 from tests.capture.simulated import CAMERA, plan_of
 from tests.cases import in_one_test
 from tests.shared import there
@@ -88,9 +82,7 @@ def test_what_to_know_about_a_scene_of_full_stops() -> None:
     camera = replace(EXAMPLE, shutter=Shutter.between("1/8000", "30", Fraction(1)))
     rounded, far = make_plan(camera, PAPER, {"scene-1": Fraction(3)}).scenes[0].remarks
     assert rounded == "metered at 3 s, set as 4 s, the camera's nearest time"
-    assert far.startswith(
-        "frames 2, 3, 5, 6, 8, 9: the ratio is more than 10 % off its factor, which eldata verify refuses"
-    )
+    assert far.startswith("frames 2, 3, 5, 6, 8, 9: the ratio is more than 10 % off its factor, which eldata verify")
 
 
 def test_the_time_that_shots_take() -> None:

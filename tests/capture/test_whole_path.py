@@ -146,9 +146,7 @@ def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path) -> None:
         assert abs(named_ratio / true_ratio - 1) > 0.1
     # The manifest says that the names of ISOs are not to be trusted here, and the set can be used by the plan's ratios.
     assert nights.problems() == []
-    assert [record.flags for record in load_manifest(nights.csv).records if record.role == "noisy"] == [
-        ("uncertain-iso",)
-    ] * 3
+    assert [row.flags for row in load_manifest(nights.csv).records if row.role == "noisy"] == [("uncertain-iso",)] * 3
     output = run_capture("check", nights.csv, "--root", tmp_path / "data", "--jobs", "1", code=1)
     assert "DemoAlpha scene-1: look" in output
     assert 'EXIF has the names of ISOs, whose measured speeds are others: amplification="nominal"' in output

@@ -11,12 +11,16 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.cli.main import main
-from tests.evaluation.helpers import Tree, place
+from tests.evaluation import conftest as evaluation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from tests.evaluation.helpers import Tree
+
 GOLDEN = Path(__file__).parent / "golden"
+tree = evaluation.tree
+predictions = evaluation.predictions
 
 
 @dataclass(frozen=True)
@@ -58,20 +62,6 @@ def room_for(most_bytes: int) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", sync)
         yield
-
-
-@pytest.fixture(scope="session")
-def tree(demo_tree: Path) -> Tree:
-    """Two cameras, one scene. Not to be changed: copy it."""
-    return Tree(demo_tree)
-
-
-@pytest.fixture(scope="session")
-def predictions(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A prediction of each of the tree's twelve pairs. Not to be changed: copy it."""
-    folder = tmp_path_factory.mktemp("predictions") / "preds"
-    place(folder, tree)
-    return folder
 
 
 @pytest.fixture

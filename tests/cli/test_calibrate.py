@@ -240,7 +240,6 @@ def test_a_crop(eldata: Cli, pristine: FrameTree) -> None:
     [
         (["--gain", "200=1"], "K is stated at ISO 200, of which there are no frames; there are 100, 400, 1600"),
         (["--gain", "400=x"], "expected a finite number above 0, found 'x', in '400=x'"),
-        (["--gain", "Leica"], "no camera profile is called 'Leica'"),
         (["--mode", "none", "--mode", "400"], "--mode none says that the camera does not switch"),
         (["--accept", "coarse value"], "did you mean coarse values?"),
         (["--camera", "Sony"], f"no camera 'Sony'; there is {CAMERA}"),

@@ -220,13 +220,9 @@ def test_what_is_printed_draws_the_pictures(eldata: Cli, tree: Tree, several: li
 
 
 def test_refusals(eldata: Cli, tree: Tree, several: list[Path], tmp_path: Path) -> None:
-    (tmp_path / "more").mkdir()
-    namesake = shutil.copytree(several[0], tmp_path / "more" / "first")
     (tmp_path / "file").touch()
     for arguments, words in (
-        ([several[0], namesake], "would both be called 'first'"),
         ([several[0], several[1], "--json", tmp_path / "a.json"], "--json writes the result of one method"),
-        ([several[0], several[1], "--name", "one"], "found 1 for 2 folders"),
         ([several[0], tmp_path / "nowhere", "-o", tmp_path / "results"], "nowhere: there is no such folder"),
         ([several[0], several[1], "-o", tmp_path / "file"], "File exists"),
         ([several[0], several[1], "-o", tmp_path / "no" / "folder"], "No such file"),

@@ -10,7 +10,8 @@ import pytest
 
 from eldata import ELDDataset, PackedStore, evaluate
 from eldata.evaluation.results import load_result
-from eldata.manifest.catalogue import ENTRY_POINTS, load_manifest, save_manifest, shipped_manifest
+from eldata.manifest.catalogue import load_manifest, save_manifest, shipped_manifest
+from tests.datasets.test_registry import install
 from tests.trees import build_published_tree
 
 if TYPE_CHECKING:
@@ -18,14 +19,6 @@ if TYPE_CHECKING:
 
     from tests.cli.conftest import Cli
     from tests.evaluation.helpers import Tree
-
-
-def install(folder: Path, package: str, line: str) -> None:
-    """Make an installed package as pip leaves it: metadata with one entry point."""
-    info = folder / f"{package}-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{ENTRY_POINTS}]\n{line}\n")
 
 
 @pytest.fixture

@@ -103,8 +103,7 @@ def test_a_copy_is_the_view(cfa: Cfa, orientation: Orientation) -> None:
 
 
 @in_one_test(
-    "shape, cfa",
-    [((5, 4), BAYER["RGGB"]), ((6, 8), XTRANS_CFA), ((6, 8), QUAD["quad-13"]), ((2, 2, 2), BAYER["RGGB"])],
+    "shape, cfa", [((5, 4), BAYER["RGGB"]), ((6, 8), XTRANS_CFA), ((6, 8), QUAD["quad-13"]), ((2, 2, 2), BAYER["RGGB"])]
 )
 def test_shapes_that_do_not_fit(shape: tuple[int, ...], cfa: Cfa) -> None:
     with pytest.raises(ArgumentError, match=rf"sides are multiples of {len(cfa)}; found shape"):

@@ -26,6 +26,7 @@ from tests.datasets.mosaics import Mosaics
 from tests.raw.helpers import BAYER, EXPOSURE, NONA, QUAD, XTRANS, Cfa, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -36,17 +37,23 @@ ISOS = {400: 5, 1600: 3}
 PARAMETERS = NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0, iso=400.0)
 
 
-def written(folder: Path, cfa: Cfa = BAYER["GRBG"], isos: dict[int, int] | None = None, side: int = SIDE) -> Path:
-    """Bias frames of one camera, whose pixels are at random; the folder bias."""
+def write_bias(folder: Path, iso: int, mosaics: Iterable[NDArray[np.uint16]], cfa: Cfa, **sensor: Any) -> Path:
+    """Bias frames of one camera; the folder bias."""
+    place = folder / "Nocturne" / "bias" / f"ISO{iso}"
+    place.mkdir(parents=True)
+    for number, mosaic in enumerate(mosaics):
+        exposure = Exposure(Fraction(iso), Fraction(1, 4000))
+        write_dng(place / f"{number}.dng", mosaic, make_sensor(cfa, *mosaic.shape, **sensor), exposure)
+    return place.parent
+
+
+def written(folder: Path, cfa: Cfa = BAYER["GRBG"], isos: dict[int, int] | None = None) -> Path:
+    """Those whose pixels are at random."""
     generator = np.random.default_rng(7)
     for iso, count in (ISOS if isos is None else isos).items():
-        place = folder / "Nocturne" / "bias" / f"ISO{iso}"
-        place.mkdir(parents=True)
-        for number in range(count):
-            mosaic = generator.integers(480, 560, (side, side), dtype=np.uint16)
-            exposure = Exposure(Fraction(iso), Fraction(1, 4000))
-            write_dng(place / f"{number}.dng", mosaic, make_sensor(cfa, side, side), exposure)
-    return folder / "Nocturne" / "bias"
+        mosaics = generator.integers(480, 560, (count, SIDE, SIDE), dtype=np.uint16)
+        bias = write_bias(folder, iso, mosaics, cfa)
+    return bias
 
 
 @pytest.fixture(scope="module")
@@ -90,8 +97,7 @@ def above_black(path: Path | str) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize(
-    "cfa",
-    [BAYER["GRBG"], BAYER["RGGB"], XTRANS["xtrans-00"], XTRANS["xtrans-23"], QUAD["quad-01"], NONA["nona-20"]],
+    "cfa", [BAYER["GRBG"], BAYER["RGGB"], XTRANS["xtrans-00"], XTRANS["xtrans-23"], QUAD["quad-01"], NONA["nona-20"]]
 )
 def test_a_draw_is_the_frame_to_the_bit(cfa: Cfa, tmp_path: Path) -> None:
     """Of each kind of CFA, whole and by crops: in the dark, without dither, DN that are the file's minus black."""
@@ -217,13 +223,11 @@ def test_clean_frames_that_do_not_go_with_them(bias: Path) -> None:
 
 
 def test_a_turned_crop_that_is_not_square_does_not_fit_the_sensor(tmp_path: Path) -> None:
-    cfa, folder = BAYER["GRBG"], tmp_path / "C" / "bias" / "ISO400"
-    folder.mkdir(parents=True)
-    dark, exposure = np.full((48, SIDE), 511, np.uint16), Exposure(Fraction(400), Fraction(1, 4000))
-    write_dng(folder / "0.dng", dark, make_sensor(cfa, *dark.shape), exposure)
+    cfa, dark = BAYER["GRBG"], np.full((48, SIDE), 511, np.uint16)
+    bias = write_bias(tmp_path, 400, [dark], cfa)
     clean = Mosaics([np.full(dark.shape, 511.5, np.float32)], cfa, black=511.5, white=15871.0)
     with pytest.raises(DatasetError, match=r"dark frames are not turned, and its turned crop, 70 x 46 pixels"):
-        list(pairs(DarkFrames(folder.parent), clean, crop=None))
+        list(pairs(DarkFrames(bias), clean, crop=None))
 
 
 @pytest.mark.parametrize(
@@ -295,11 +299,7 @@ def test_less_a_shading_the_noise_alone_is_left(tmp_path: Path) -> None:
     The pattern is four times as much. Of other frames' shading the variance is 1 + 1/6, and is left so.
     """
     cfa, frames = BAYER["GRBG"], shaded(6, 1)
-    sensor = make_sensor(cfa, SIDE, SIDE, black_level_dn=(512.0,) * 4)
-    place = tmp_path / "Nocturne" / "bias" / "ISO400"
-    place.mkdir(parents=True)
-    for number, mosaic in enumerate(frames):
-        write_dng(place / f"{number}.dng", mosaic, sensor, Exposure(Fraction(400), Fraction(1, 4000)))
+    bias = write_bias(tmp_path, 400, frames, cfa, black_level_dn=(512.0,) * 4)
     shading_from: Any
     for shading_from, of, scale in (("these", frames, (5 / 6) ** -0.5), ("others", shaded(6, 2), 1.0)):
         fit, stack = ShadingFit(), BiasStack(cfa)
@@ -308,7 +308,7 @@ def test_less_a_shading_the_noise_alone_is_left(tmp_path: Path) -> None:
         fit.add(400, fixed_pattern(stack), (512.0,) * 4, (0.1,) * 4)
         shading = fit.shading("Nocturne", "a test")
         shading.save(tmp_path / "shading.npz")
-        dark = DarkFrames(place.parent, shading=tmp_path / "shading.npz", shading_from=shading_from, dither=False)
+        dark = DarkFrames(bias, shading=tmp_path / "shading.npz", shading_from=shading_from, dither=False)
         assert f"shading={shading.digest[:15]}" in repr(dark)
         crops = dark.crops(400, range(6), (0, 0, SIDE // 2, SIDE // 2))
         black = 512.0 + pack(shading.at(400), cfa)

@@ -64,7 +64,6 @@ def sets(pristine: Tree, store: Path, tmp_path_factory: pytest.TempPathFactory) 
         ("eld", "published", "both", "metadata"),
         ("eld", "metadata", "upper", "nominal"),
         ("eld", "metadata", "none", "metadata"),
-        ("fuji", "published", "both", "metadata"),
         ("fuji", "sid-fuji", "upper", "metadata"),
     ],
 )

@@ -88,9 +88,7 @@ def test_another_package_registers_a_dataset(tmp_path: Path, monkeypatch: pytest
     install(tmp_path, "dusk", "dusk = eldata_test_dusk:Dusk")
     install(tmp_path, "lost", "lost = eldata_test_dusk:Lost")
     install(tmp_path, "mine", "eld = mine:Dataset")
-    (tmp_path / "eldata_test_dusk.py").write_text(
-        "class Dusk:\n    def __init__(self, root):\n        self.root = root\n"
-    )
+    (tmp_path / "eldata_test_dusk.py").write_text("class Dusk:\n  def __init__(self, root):\n    self.root = root\n")
     monkeypatch.syspath_prepend(tmp_path)
     assert {*NAMES, "dusk", "lost"} <= set(dataset_names())
     assert open_dataset("dusk", "data/DUSK").root == "data/DUSK"

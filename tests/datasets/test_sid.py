@@ -30,10 +30,7 @@ NOISY = {
         *(f"Sony/short/{scene}_00_{time}s.ARW" for scene in ("10185", "20201") for time in ("0.1", "0.04", "0.033")),
         "Sony/short/10034_00_0.1s.ARW",
     ],
-    "fuji": [
-        *("Fuji/short/10019_00_0.1s.RAF", "Fuji/short/10019_00_0.033s.RAF", "Fuji/short/10172_00_0.04s.RAF"),
-        "Fuji/short/20015_00_0.1s.RAF",
-    ],
+    "fuji": [f"Fuji/short/{of}s.RAF" for of in ("10019_00_0.1", "10019_00_0.033", "10172_00_0.04", "20015_00_0.1")],
 }
 SCENES = {camera: sorted({Path(path).name[:5] for path in paths}) for camera, paths in NOISY.items()}
 

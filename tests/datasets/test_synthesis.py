@@ -170,9 +170,7 @@ def test_an_ended_run_goes_on(
     unfinished: tuple[Path, dict[str, bytes]], clean: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, whole = unfinished
-    assert sorted(path.name for path in out.iterdir()) == [".begun", "data", "manifests"], (
-        "no manifest yet, no parameters"
-    )
+    assert sorted(path.name for path in out.iterdir()) == [".begun", "data", "manifests"], "no manifest yet"
     assert not list((out / "manifests").iterdir())
     written: list[str] = []
 

@@ -190,10 +190,8 @@ def test_each_of_several_isos_has_its_own_row() -> None:
     assert "SonyA7S2 (ISO 800, 1600: measured; ISO 3200: nearest-gain)" in repr(dataset)
     drawn = {item["tukey_lambda"] for item in items(flat(profiles=profile, iso=[800, 1600], row="any"))}
     assert drawn == {row.tukey_lambda for row in profile.rows}
-    same(
-        flat(profiles=profile, iso={800: 2}, crops_per_frame=1)[0],
-        flat(profiles=profile, iso=[800], crops_per_frame=1)[0],
-    )
+    one, other = (flat(profiles=profile, iso=iso, crops_per_frame=1)[0] for iso in ({800: 2}, [800]))
+    same(one, other)
 
 
 @pytest.mark.parametrize(

@@ -151,17 +151,6 @@ def test_without(without: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert asked == [FixedFeatures()]
 
 
-def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demo", str(tmp_path / "x"), "--without", "shading"]) == 2
-    assert "give --calibration too" in capsys.readouterr().err
-    assert main(["demo", str(tmp_path / "x"), "--calibration", "--without", "noise"]) == 2
-    assert main(["demo", str(tmp_path / "x"), "--calibration", "--beside", "dct"]) == 2
-    assert main(["demo", str(tmp_path / "x"), "--calibration", "--seed", "-1"]) == 2
-    assert main(["demo", str(tmp_path / "x"), "--calibration", "--scenes", "2"]) == 2
-    assert "leave it out with --calibration" in capsys.readouterr().err
-    assert not (tmp_path / "x").exists()
-
-
 # --- the frames, and the truth beside them ----------------------------------------------------------------------------
 
 SIZE = (64, 96)

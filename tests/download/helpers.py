@@ -71,9 +71,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 def make_shelf(folder: Path, *downloads: Download) -> Path:
     """Write a folder of manifests such as the shipped ones, with one small dataset called ``small``."""
     folder.mkdir(parents=True, exist_ok=True)
-    records = [
-        FrameRecord(path=name, role="noisy", camera="SonyA7S2", scene="1", split="test") for name in file_names()
-    ]
+    records = [FrameRecord(name, "noisy", "SonyA7S2", scene="1", split="test") for name in file_names()]
     save_records(folder / "small.csv", records)
     save_card(folder / "small.json", small_card(*downloads))
     return folder

@@ -22,47 +22,22 @@ def test_every_shipped_manifest_recognises_its_own_files(name: str, above: str) 
     assert count_listed(paths, listed) == len(listed)
 
 
+SHORT = "short/00001_00_0.1s.ARW"
 DRV = ["VBM4D_rawRGB/0001/*.png", "long/0001/half0001*.png"]
+MATCHING = ("VBM4D_rawRGB/0001/1.png", "long/0001/half0001.png")
 
 
 @in_one_test(
     "listed, below, targets",
     [
-        (  # a folder less than expected
-            LISTED,
-            None,
-            {
-                "short/00001_00_0.1s.ARW": "Sony/short/00001_00_0.1s.ARW",
-                "long/00001_00_10s.ARW": "Sony/long/00001_00_10s.ARW",
-                "short/new.ARW": "Sony/short/new.ARW",
-            },
-        ),
-        (  # a folder of another name
-            LISTED,
-            None,
-            {"x/Sony2025/short/00001_00_0.1s.ARW": "Sony/short/00001_00_0.1s.ARW", "x/README": None},
-        ),
-        (  # unlisted files go with the listed ones
-            LISTED,
-            None,
-            {
-                "SID/Sony/short/00001_00_0.1s.ARW": "Sony/short/00001_00_0.1s.ARW",
-                "SID/Sony/list.txt": "Sony/list.txt",
-                "__MACOSX/x": None,
-            },
-        ),
+        (LISTED, None, {path: f"Sony/{path}" for path in ("long/00001_00_10s.ARW", SHORT, "short/new.ARW")}),
+        (LISTED, None, {f"x/Sony2025/{SHORT}": f"Sony/{SHORT}", "x/README": None}),  # a folder of another name
+        # unlisted files go with the listed ones
+        (LISTED, None, {f"SID/Sony/{path}": f"Sony/{path}" for path in (SHORT, "list.txt")} | {"__MACOSX/x": None}),
         (LISTED, "short", {"0001/DSC1.ARW": "short/0001/DSC1.ARW"}),  # what the archive holds is not published
-        (LISTED, "short", {"Sony/short/00001_00_0.1s.ARW": "Sony/short/00001_00_0.1s.ARW"}),  # what is listed says more
-        (  # patterns match within their folder only
-            DRV,
-            None,
-            {
-                "DRV/VBM4D_rawRGB/0001/1.png": "VBM4D_rawRGB/0001/1.png",
-                "DRV/long/0001/half0001.png": "long/0001/half0001.png",
-                "DRV/long/0001/other.png": "long/0001/other.png",
-                "preview.png": None,
-            },
-        ),
+        (LISTED, "short", {f"Sony/{SHORT}": f"Sony/{SHORT}"}),  # what is listed says more
+        # patterns match within their folder only
+        (DRV, None, {f"DRV/{path}": path for path in (*MATCHING, "long/0001/other.png")} | {"preview.png": None}),
     ],
 )
 def test_where_files_go(listed: list[str], below: str | None, targets: dict[str, str | None]) -> None:

@@ -313,10 +313,7 @@ OF_LEVELS: dict[str, tuple[Making, str]] = {
     "clipped at 0.25": (_alone(lambda p: np.minimum(p, np.float32(0.25))), "as if clipped at 0.25"),
     "not amplified": (_amplified(-1), "as if not amplified"),
     "amplified twice": (_amplified(1), "as if amplified twice"),
-    "the input copied": (
-        lambda _p, shot, protocol: shot.input(protocol),
-        "as if the noisy input, amplified, were copied",
-    ),
+    "the input copied": (lambda _p, shot, protocol: shot.input(protocol), "as if the noisy input, amplified"),
 }
 OF_CURVES: dict[str, tuple[Making, str]] = {
     "sRGB curve": (_alone(_encoded), _GAMMA),

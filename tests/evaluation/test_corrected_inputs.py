@@ -86,9 +86,7 @@ def test_of_predictions_it_is_stated(planted: tuple[Tree, Path], tmp_path: Path)
     plain, stated = scored(tree, tmp_path / "preds"), scored(tree, tmp_path / "preds", dark_shading=file)
     assert stated.scores == plain.scores
     assert stated.digest != plain.digest
-    assert (
-        "predictions are, as stated with --dark-shading, of inputs less the dark shading of Planted" in stated.notes[0]
-    )
+    assert "predictions are, as stated with --dark-shading, of inputs less the dark shading of" in stated.notes[0]
     assert stated.scored_unlike(plain) == [], "the same scores of given predictions; comparisons name the inputs"
     assert any("dark shading" in words for words in compare({"a": plain, "b": stated}).warnings)
 
@@ -130,9 +128,7 @@ def test_a_shading_that_is_not_of_these_inputs(planted: tuple[Tree, Path], drv: 
         shading.save(tmp_path / name)
         return tmp_path / name
 
-    with pytest.raises(
-        ArgumentError, match=r"of Planted is of one body, and 2 cameras are scored: DemoAlpha, DemoBeta"
-    ):
+    with pytest.raises(ArgumentError, match=r"Planted is of one body, and 2 cameras are scored: DemoAlpha, DemoBeta"):
         scored(tree, cameras=None, dark_shading=file)
     with pytest.raises(ArgumentError, match="was not measured at ISO 3200"):
         scored(tree, dark_shading=saved("isos.npz", shading_of(sensor, (800, 1600))))
@@ -149,9 +145,7 @@ def test_a_shading_that_is_not_of_these_inputs(planted: tuple[Tree, Path], drv: 
     save_prediction(tmp_path / "preds", tree.pairs[-1].path, np.zeros((4, 32, 48), np.float32))
     found = scored(tree, tmp_path / "preds", dark_shading=other, allow_missing=True)
     assert any("is of a Other 7" in problem.reason for problem in found.problems)
-    with pytest.raises(
-        ArgumentError, match="'drv-rgb' scores preprocessed RGB, whose dark shading nobody can take off"
-    ):
+    with pytest.raises(ArgumentError, match="'drv-rgb' scores preprocessed RGB, whose dark shading nobody can take"):
         evaluate(None, manifest=drv.csv, root=drv.root, ids=["0007"], baseline="input", dark_shading=file)
 
 

@@ -173,7 +173,6 @@ def inspection(camera: str, ratio: float, words: str | None) -> Inspection:
         ("pp. ... ... qqq", ["p A x100 2/3", "q B x200 3/3"]),
         ("p.. .p. q.. ..q", []),
         ("pqr pqr pqr pqr", []),
-        ("... ... ... ...", []),
         ("p", ["p  1/1"]),  # one frame is enough where there is one
         ("p .", []),
         ("", []),

@@ -40,30 +40,21 @@ def renamed(old: str, new: str) -> Callable[[str], str]:
 
 
 NPY, UNKNOWN = "12 files", "is it the right folder, and the right dataset?"
+SOME = "holds some: give one of them as the folder"
 
 # How the predictions are called, what is found, what the message says of the nearest layout.
 LAYOUTS: dict[str, tuple[Callable[[str], str], str, str]] = {
     "flat": (renamed("/", "_"), NPY, f"DemoAlpha_scene-1_IMG_0004.npy would be {FIRST}.npy"),
     "names-of-frames": (lambda name: PurePosixPath(name).name, "6 files", UNKNOWN),  # of which camera?
-    "without-scenes": (renamed("scene-1/", ""), NPY, f"DemoAlpha/IMG_0004.npy would be {FIRST}.npy"),
     "a-word-more": (renamed(".npy", "_out.npy"), NPY, f"{FIRST}_out.npy would be {FIRST}.npy"),
     "another-order": (
         lambda name: "_".join(reversed(name.removesuffix(".npy").split("/"))) + ".npy",
         NPY,
         f"IMG_0004_scene-1_DemoAlpha.npy would be {FIRST}.npy",
     ),
-    "no-extension": (renamed(".npy", ""), NPY, f"{FIRST} would be {FIRST}.npy"),
     "two-folders-more": (lambda name: f"a/b/{name}", NPY, "they lie below a/b: give {folder}/a/b as the"),
-    "a-folder-a-camera": (
-        lambda name: f"{name[4:5]}/{name}",
-        NPY,
-        "each of {folder}/A and {folder}/B holds some: give one of them as the folder",
-    ),
-    "a-folder-a-frame": (
-        lambda name: f"{name[-8:-4]}/{name}",
-        NPY,
-        "each of {folder}/0004, {folder}/0005, {folder}/0009 and 3 others holds some: give one of them as the folder",
-    ),
+    "a-folder-a-camera": (lambda name: f"{name[4:5]}/{name}", NPY, f"each of {{folder}}/A and {{folder}}/B {SOME}"),
+    "a-folder-a-frame": (lambda name: f"{name[-8:-4]}/{name}", NPY, f"{{folder}}/0009 and 3 others {SOME}"),
     "strangers": (lambda name: f"{name[4:5]}{name[-6:]}", NPY, UNKNOWN),
 }
 

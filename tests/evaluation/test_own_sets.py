@@ -259,9 +259,7 @@ def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, drv: Smal
     for request, protocol, unit in zip((images, clips), broken, ("s0/clean.dng", "long/0007/"), strict=True):
         with pytest.raises(TypeError) as caught:
             perform_each([replace(request, protocol=protocol, workers=Workers(1))])
-        assert any(
-            note.startswith(f"while the predictions for the reference {unit}") for note in caught.value.__notes__
-        )
+        assert any(one.startswith(f"while the predictions for the reference {unit}") for one in caught.value.__notes__)
 
 
 # --- files that are arrays of floats, with levels on the card: as the same whole numbers in DNGs ----------------------
@@ -326,9 +324,7 @@ def test_shares_of_white_are_not_scored_against_a_white_level_in_dn(own: OwnSet,
     assert result.scores == ()
     reasons = {str(problem) for problem in result.problems}
     assert len(reasons) == 4
-    assert all(
-        re.search(r"clean\.npy: its white level is 1, .* white level of 16383 .* is in DN", one) for one in reasons
-    )
+    assert all(re.search(r"clean\.npy: its white level is 1, .* white level of 16383 ", one) for one in reasons)
 
 
 def test_clean_frames_in_dn_are_taken_and_shares_of_white_are_not(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import pickle
 import subprocess
 import sys
@@ -26,19 +25,11 @@ from eldata.evaluation.predictions import load_colours
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure
+from tests.bait import Bait
 from tests.evaluation import hostile_predictions as hostile
 from tests.evaluation import oracle
 from tests.evaluation.helpers import SIZE, Tree, place
-from tests.evaluation.prediction_files import (
-    FILES,
-    OF_PACKED,
-    h5,
-    quantised,
-    save_npy,
-    save_npz,
-    save_png,
-    tif,
-)
+from tests.evaluation.prediction_files import FILES, OF_PACKED, h5, quantised, save_npy, save_npz, save_png, tif
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -175,6 +166,7 @@ def save_dng(path: Path, mosaic: NDArray[Any], cfa: tuple[tuple[int, ...], ...] 
 
 DEFLATED = tif(compression="zlib", byteorder=">")
 SHAPES = [str(PACKED), str(SIZE)]
+SEVERAL = ["one array", "'prediction'", "first, second"]
 
 # extension, writer, words that the reason must have: what was expected, what was found, what to do.
 BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
@@ -187,12 +179,8 @@ BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "dn": (".npy", npy(lambda: good() * 15871), ["[0, 1]", "DN", "divide", "15871"]),
     "uint8": (".npy", npy(lambda: (good() * 255).astype(np.uint8)), ["float", "uint16", "uint8", "convert"]),
     "complex": (".npy", npy(lambda: good().astype(np.complex64)), ["float", "complex64", "convert"]),
-    "npz-several": (
-        ".npz",
-        lambda path: np.savez(path, first=good(), second=good()),
-        ["one array", "'prediction'", "first, second"],
-    ),
-    "h5-several": (".h5", several_datasets, ["one array", "'prediction'", "first, second"]),
+    "npz-several": (".npz", lambda path: np.savez(path, first=good(), second=good()), SEVERAL),
+    "h5-several": (".h5", several_datasets, SEVERAL),
     "png-8-bit": (".png", png(lambda: (oracle_mosaic() * 255).astype(np.uint8)), ["uint16", "uint8"]),
     "png-rgba": (".png", png(lambda: np.full((*SIZE, 4), 999, np.uint16)), [*SHAPES, "(64, 96, 4)", "PNG", "grey"]),
     # Packed channels have the shape of a channels-last array, but no PNG can be channels-first.
@@ -206,10 +194,7 @@ BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     ),
     "dng-cut": (".dng", cut(save_dng, 0.5), ["truncated"]),
     "npy-cut": (".npy", cut(save_npy), ["cannot be read as npy", "write it again"]),
-    "npz-cut": (".npz", cut(save_npz), ["npz", "write it again"]),
     "h5-cut": (".h5", cut(h5()), ["cannot be read as h5", "write it again"]),
-    "tif-cut": (".tif", cut(tif()), ["cannot be read as tif", "write it again"]),
-    "tiff-cut": (".tiff", cut(DEFLATED), ["cannot be read as tiff", "write it again"]),
     "png-cut": (".png", cut(save_png), ["does not end as a PNG does"]),
     "npy-longer": (".npy", longer(save_npy), ["declares 12288 bytes of values and has 12294", "inserted?"]),
     "png-longer": (".png", longer(save_png, 1.0), ["does not end as a PNG does"]),
@@ -244,16 +229,6 @@ def test_bait(tmp_path: Path) -> None:
     np.save(tmp_path / "bait.npy", np.array([Bait(tmp_path / "marker")], dtype=object), allow_pickle=True)
     np.load(tmp_path / "bait.npy", allow_pickle=True)
     assert (tmp_path / "marker").is_dir()
-
-
-class Bait:
-    """A pickle that makes a folder when it is loaded."""
-
-    def __init__(self, marker: Path) -> None:
-        self.marker = marker
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.mkdir, (str(self.marker),)
 
 
 def pickled_npy(path: Path, bait: Bait) -> None:

@@ -129,6 +129,7 @@ def test_get_protocol() -> None:
 
 
 SRGB_OF_SID = "sid-srgb sid-raw2rgb sid-rgb2rgb sid2018"
+OF_ONES_OWN = "raw eld eld-uncorrected eld-cvpr20 led-sid lrd-sid sid-srgb sid-raw2rgb eld-srgb eld-raw2rgb sid2018"
 
 
 @pytest.mark.parametrize(
@@ -140,10 +141,7 @@ SRGB_OF_SID = "sid-srgb sid-raw2rgb sid-rgb2rgb sid2018"
         ("lrd", "lrd-lrd"),
         ("lrid", "pmn-lrid sony-lrid"),
         ("drv", "drv-rgb drv-rgb-uncorrected"),
-        (
-            "mine",
-            "raw eld eld-uncorrected eld-cvpr20 led-sid lrd-sid sid-srgb sid-raw2rgb eld-srgb eld-raw2rgb sid2018",
-        ),
+        ("mine", OF_ONES_OWN),
     ],
 )
 def test_protocols_for_a_dataset(dataset: str, names: str) -> None:

@@ -131,9 +131,7 @@ def test_networks_to_srgb_are_run_and_scored(own: OwnSet, tmp_path: Path, capsys
     capsys.readouterr()
     assert main(["evaluate", str(tmp_path / "eld-rgb2rgb"), *own.arguments, "--protocol", "eld-raw2rgb"]) == 2
     assert "network's input: sRGB, and protocol 'eld-raw2rgb' has packed raw (input_space)" in capsys.readouterr().err
-    (tmp_path / "mine.toml").write_text(
-        'base = "eld-rgb2rgb"\nname = "x"\ntitle = "x"\nresponse = "gamma-1.8"\n', encoding="utf-8"
-    )
+    (tmp_path / "mine.toml").write_text('base = "eld-rgb2rgb"\nname = "x"\ntitle = "x"\nresponse = "gamma-1.8"\n')
     with pytest.raises(ArgumentError, match=r"response curve: gamma 2.2, .* has gamma 1.8 \(response\)"):
         evaluate(tmp_path / "eld-rgb2rgb", **scored | {"protocol": tmp_path / "mine.toml"})
 

@@ -146,7 +146,6 @@ def blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     "shape, words",
     [
         ((8, 8, 32, 32), r"holds 64 blocks, and the manifest lists 1280"),
-        ((32, 32, 8, 8), r"holds 1024 blocks, and the manifest lists 1280"),
         ((64, 64, 40, 32), r"holds 4096 blocks, and the manifest lists 1280"),
         ((1024, 8, 8), r"expected an array of blocks, .*found \[\('ValidationNoisyBlocksRaw', \(1024, 8, 8\)"),
     ],

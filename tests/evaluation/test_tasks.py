@@ -74,9 +74,8 @@ def test_it_stands_beside_the_scores_everywhere(own: OwnSet, tmp_path: Path) -> 
         expected = np.abs(np.clip(np.clip(made, 0, 1) * image.rescale, 0, 1) - target).max()
         assert image.values["task"] == pytest.approx(expected, abs=1e-6)
         assert {name: value for name, value in image.values.items() if name != "task"} == plain.values
-    assert result.whole.values["task"] == pytest.approx(
-        np.mean([image.values["task"] for image in result.scores]), rel=1e-12
-    )
+    mean = np.mean([image.values["task"] for image in result.scores])
+    assert result.whole.values["task"] == pytest.approx(mean, rel=1e-12)
     stated = result.provenance["task"]
     assert stated == {
         "callable": f"{HERE}:worst_error",
@@ -202,9 +201,7 @@ def test_a_clip_has_the_mean_over_its_frames_as_the_published_code_corrects_them
     for video in result.scores:
         still = (still_of(video.scene).transpose(2, 0, 1) / 65535).astype(np.float32)
         _, shown = published_code.eld_clip(predicted_clip(video.scene), still, correct=True)
-        assert video.values["task"] == pytest.approx(
-            shown.mean(dtype=float) - still.mean(dtype=float), abs=1e-6
-        )  # float32
+        assert video.values["task"] == pytest.approx(shown.mean(dtype=float) - still.mean(dtype=float), abs=1e-6)
     both = compare({"one": result, "other": result})
     assert [metric.name for metric in both.kind.metrics] == ["psnr_db", "ssim", "st_rred", "task"]
 

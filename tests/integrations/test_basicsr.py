@@ -61,18 +61,8 @@ def sid_like(folder: Path) -> Manifest:
                 photograph(folder / "data/OWN" / path, seconds, number := number + 1)
                 ratio = Fraction(RATIO[text])
                 records.append(FrameRecord(path, "noisy", "Own", scene, split, Fraction(200), seconds, ratio, long))
-    card = Card(
-        name="own",
-        title="A set of one's own",
-        version="1.0",
-        folder="OWN",
-        citation="",
-        licence="CC0-1.0",
-        homepage="",
-        cfa="bayer",
-        cameras={"Own": CameraCard(("NIKON D850",))},
-        counts={"noisy": 18, "reference": 3},
-    )
+    cameras, counts = {"Own": CameraCard(("NIKON D850",))}, {"noisy": 18, "reference": 3}
+    card = Card("own", "A set of one's own", "1.0", "OWN", "", "CC0-1.0", "", "bayer", cameras, counts)
     return save_manifest(folder / "own.csv", card, records)
 
 

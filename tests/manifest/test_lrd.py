@@ -44,9 +44,7 @@ def test_counts_are_those_of_the_lists() -> None:
     references = [record for record in manifest.records if record.role == "reference"]
     assert sorted(record.scene for record in references) == [f"{number:05d}" for number in range(1, 601)]
     assert {record.iso for record in references} == {100}
-    assert {record.scene for record in references if record.split == "test"} == {
-        str(n).zfill(5) for n in range(541, 601)
-    }
+    assert {record.scene for record in references if record.split == "test"} == {f"{n:05d}" for n in range(541, 601)}
 
 
 @in_one_test("line", (TRAIN_LIST + TEST_LIST).splitlines())

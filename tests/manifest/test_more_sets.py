@@ -6,7 +6,7 @@ import pickle
 import re
 from collections import Counter
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -16,6 +16,7 @@ from eldata.errors import ManifestError
 from eldata.manifest.catalogue import carded_names, shipped_card, shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice
 from manifests.published_lrid import bursts_from_infos
+from tests.bait import Bait
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,9 +36,7 @@ def test_lrid_has_the_files_of_the_info_files() -> None:
     for part, (scenes, gains) in LRID.items():
         of_part = [record for record in records if record.path.startswith(f"{part}/")]
         references = [record for record in of_part if record.role == "reference"]
-        assert [record.path for record in references] == [
-            f"{part}/npy/GT_align_ours/{number:03d}.npy" for number in range(scenes)
-        ]
+        assert [one.path for one in references] == [f"{part}/npy/GT_align_ours/{n:03d}.npy" for n in range(scenes)]
         found = Counter((record.ratio, record.scene) for record in of_part if record.role == "noisy")
         expected = {(Fraction(gain), f"{part}-{number:03d}"): 10 for gain in gains for number in range(scenes)}
         if part == "indoor_x5":
@@ -89,21 +88,13 @@ def test_lrid_says_which_scenes_the_sensor_was_warm_in() -> None:
     assert all("nominal-ratio" in record.flags for record in records if record.role == "noisy")
 
 
-class Harmful:
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (self.path.touch, ())
-
-
 def test_an_info_file_is_not_run(tmp_path: Path) -> None:
     """Pickles in the form of the published ones, with more in them than paths."""
     file = "000000_exp-40000000_iso-6400_2022_08_20_23_41_54_31_0_orientation_180_camera-0.dng"
     for part in LRID:
         burst = {"scene": "000", "dgain": 1, "ISO": 6400, "data": [f"E:/datasets/LRID\\{part}\\6400\\1\\000\\{file}"]}
         reference = {"name": f"{part}_gt_000", "data": f"E:/datasets/LRID\\{part}\\npy\\GT_align_ours\\000.npy"}
-        shorts = {1: [burst | {"metadata": [{"name": "x"}, Harmful(tmp_path / "ran")]}]}
+        shorts = {1: [burst | {"metadata": [{"name": "x"}, Bait(tmp_path / "ran")]}]}
         (tmp_path / f"{part}_short.info").write_bytes(pickle.dumps(shorts, protocol=4))
         (tmp_path / f"{part}_GT_align_ours.info").write_bytes(pickle.dumps([reference], protocol=4))
     assert len(bursts_from_infos(tmp_path)) == len(LRID)

@@ -190,7 +190,6 @@ def save_as(dtype: str, values: NDArray[Any], path: Path) -> StatedFile:
     return StatedFile(path, FACTS)
 
 
-LOUD = np.random.default_rng(4).normal(0, 0.2, SHAPE)  # noise, in shares of white
 CLEAN, DARK = mosaic_of(REFERENCE, 1).astype(np.float64), mosaic_of(NOISY, 1).astype(np.float64)
 
 
@@ -199,15 +198,12 @@ CLEAN, DARK = mosaic_of(REFERENCE, 1).astype(np.float64), mosaic_of(NOISY, 1).as
     [
         (shares_of(CLEAN), "float32", "x.npy", (64, 1023), r"\d, which are shares of white, .* black 0 and white 1 "),
         (shares_of(DARK), "float32", "x.npy", (0, 16383), "black 0 and white 1 "),
-        (shares_of(CLEAN) + LOUD, "float32", "x.npy", (64, 1023), "black 0 and white 1 "),
         (CLEAN, "float64", "x.mat", (0, 1), r"far outside.* white 4095 \(values of 12 bits\) would fit"),
         (CLEAN / 4, "uint16", "x.mat", (0, 1), r"; white 1023 \(values of 10 bits\) would fit"),
         (np.where(DARK > 270, 300.5, 0.3), "float32", "x.npy", (0, 1), "many of them far outside"),
-        (DARK - BLACK, "float32", "x.npy", (0, 1), "many of them far outside"),
         (CLEAN / 16, "uint8", "x.tiff", (240, 4095), "uint8, which ends at 255, .* black 14.95 and white 255 "),
         (CLEAN / 16, "uint16", "x.tiff", (240, 4095), "most of them below black"),
         (CLEAN * 16, "uint16", "x.tiff", (240, 4095), "black 3841 and white 65535 "),
-        (CLEAN * 16, "float32", "x.tiff", (240, 4095), "many of them far outside"),
         (CLEAN, "uint16", "x.npy", (64, 1023), "many of them far outside"),
         (np.maximum(DARK - BLACK, 0), "uint16", "x.npy", (240, 4095), "most of them below black"),
     ],
@@ -303,12 +299,9 @@ def test_the_first_that_fits_camera_and_path_counts(tmp_path: Path) -> None:
     loaded = load_manifest(path)
     card = replace(loaded.card, mosaics=(own, other, FACTS))
     files = FrameFiles.of(tmp_path, card, loaded.records)
-    assert {path: facts.cfa for path, (facts, _) in files.stated.items()} == {
-        "a/clean.npy": "RGGB",
-        "a/noisy.npy": "RGGB",
-        "b/clean.npy": CFA,
-        "b/noisy.npy": CFA,
-    }
+    for place, (facts, _) in files.stated.items():
+        assert facts.cfa == ("RGGB" if place.startswith("a/") else CFA)
+    assert len(files.stated) == 4
     save_card(tmp_path / "card.json", card)
     assert load_card(tmp_path / "card.json") == card
 

@@ -186,9 +186,7 @@ def test_the_official_lists_condense_to_the_table_of_scenes(name: str, tmp_path:
     lists = []
     for split in ("train", "val", "test"):
         lists.append(tmp_path / f"{folder}_{split}_list.txt")
-        lines = [
-            f"./{pair.path} ./{pair.reference} ISO{pair.iso or 12800} F8\n" for pair in pairs if pair.split == split
-        ]
+        lines = [f"./{one.path} ./{one.reference} ISO{one.iso or 12800} F8\n" for one in pairs if one.split == split]
         lists[-1].write_text("".join(lines), encoding="utf-8")
     save_scenes(tmp_path / "scenes.csv", scenes_from_lists(SID_CAMERAS[name], lists))
     assert (tmp_path / "scenes.csv").read_bytes() == (FACTS / f"{name}.csv").read_bytes()

@@ -236,7 +236,6 @@ def test_a_table_of_several_batches_is_read_as_csv_has_it_and_comes_back(path: P
         ("path", "Cam/scene-0/IMG\\b.ARW", "backslash"),
         ("path", "line 2", "stands in line 2 already"),
         ("iso", "ISO100", "a number above 0"),
-        ("size_bytes", "-1", "a whole number"),
         ("reference", "Cam/none.ARW", "a row with role reference"),
     ],
 )

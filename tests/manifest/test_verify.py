@@ -113,6 +113,10 @@ def put_folder(tree: Tree) -> None:
     tree.file(4).mkdir()
 
 
+def moved(to: str) -> Callable[[Tree], object]:
+    return lambda tree: shutil.move(tree.data / "DemoBeta", tree.data / to)
+
+
 def take(number: int, iso: int | None, exposure_s: Fraction | None) -> Callable[[Tree], None]:
     return lambda tree: retake(tree.file(number), exposure=Exposure(None if iso is None else Fraction(iso), exposure_s))
 
@@ -121,16 +125,8 @@ def take(number: int, iso: int | None, exposure_s: Fraction | None) -> Callable[
     ("damage", "level", "expected"),
     [
         (lambda tree: shutil.rmtree(tree.data / BETA), "quick", [(f"{BETA}/", "folder", "no such folder")]),
-        (
-            lambda tree: (tree.data / "DemoBeta").rename(tree.data / "demobeta"),
-            "quick",
-            [("DemoBeta/", "folder", "only demobeta/")],
-        ),
-        (
-            lambda tree: shutil.move(tree.data / "DemoBeta", tree.data / "more" / "DemoBeta"),
-            "quick",
-            [("DemoBeta/", "folder", f"{frame(1, BETA)} in another place, more/{frame(1, BETA)}")],
-        ),
+        (moved("demobeta"), "quick", [("DemoBeta/", "folder", "only demobeta/")]),
+        (moved("more/DemoBeta"), "quick", [("DemoBeta/", "folder", f"{frame(1, BETA)} in another place, more/Demo")]),
         (put_folder, "quick", [(NOISY, "file", "a folder")]),
         (unlist, "quick", [(f"{ALPHA}/{name}", "file", "19 raw files, this one unlisted") for name in UNLISTED]),
         (link_outside, "quick", [(NOISY, "path", "a link outside")]),

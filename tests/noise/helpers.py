@@ -135,9 +135,7 @@ CUDA = torch.cuda.is_available()
 ENGINES = [
     pytest.param(compiled_dn, id="compiled"),
     pytest.param(device_dn, id="torch"),
-    pytest.param(
-        partial(device_dn, device="cuda"), id="cuda", marks=pytest.mark.skipif(not CUDA, reason="there is no GPU")
-    ),
+    pytest.param(partial(device_dn, device="cuda"), id="cuda", marks=pytest.mark.skipif(not CUDA, reason="no GPU")),
 ]
 
 

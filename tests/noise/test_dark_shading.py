@@ -22,10 +22,8 @@ SHAPE = (12, 16)
 LEVELS = (1.5, -0.25, 3.0, 0.5)
 
 
-def iso_of(speed: float, mode: int) -> ShadingIso:
-    return ShadingIso(
-        iso=speed, mode=mode, frames=10, sigma_dn=2.5, level_error_dn=LEVELS, standard_error_dn=(0.1,) * 4
-    )
+def iso_of(iso: float, mode: int) -> ShadingIso:
+    return ShadingIso(iso=iso, mode=mode, frames=10, sigma_dn=2.5, level_error_dn=LEVELS, standard_error_dn=(0.1,) * 4)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 import pytest
@@ -68,6 +68,12 @@ SOME_CFAS: dict[str, Cfa] = {
     **BAYER,
     **{name: CFAS[name] for name in ("xtrans-00", "xtrans-15", "xtrans-42")},
     **{name: CFAS[name] for name in ("quad-00", "quad-13", "nona-00", "nona-41")},
+}
+DNG_KINDS: dict[str, tuple[Cfa, Literal["none", "lossless-jpeg"]]] = {
+    "compressed": (BAYER["RGGB"], "lossless-jpeg"),
+    "uncompressed": (BAYER["GBRG"], "none"),
+    "X-Trans, compressed": (xtrans_at(0, 0), "lossless-jpeg"),
+    "X-Trans, uncompressed": (xtrans_at(1, 2), "none"),
 }
 
 # By packed channel.

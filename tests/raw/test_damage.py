@@ -6,7 +6,7 @@ How often: with n trials and no miss, the rate of misses is below 3/n with a con
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import imagecodecs
 import numpy as np
@@ -20,22 +20,19 @@ from eldata.raw.tiff import Directory, read_directories
 from tests.cases import in_one_test
 from tests.raw.damaging import LOSSES, PAGE, Whole
 from tests.raw.helpers import (
-    BAYER,
+    DNG_KINDS,
     EXPOSURE,
     check_refused,
     levels_of,
     make_sensor,
     random_mosaic,
     write_plain_dng,
-    xtrans_at,
 )
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-    from tests.raw.helpers import Cfa
 
 HEIGHT, WIDTH = 192, 252
 BLACK = (512.0, 512.0, 512.0, 512.0)
@@ -51,16 +48,8 @@ def photograph(sigma: float, signal: float, *, seed: int = 0, black: float = 512
     return mosaic
 
 
-KINDS: dict[str, tuple[Cfa, Literal["none", "lossless-jpeg"]]] = {
-    "compressed": (BAYER["RGGB"], "lossless-jpeg"),
-    "uncompressed": (BAYER["GBRG"], "none"),
-    "X-Trans, compressed": (xtrans_at(0, 0), "lossless-jpeg"),
-    "X-Trans, uncompressed": (xtrans_at(1, 2), "none"),
-}
-
-
 def write(path: Path, mosaic: NDArray[np.uint16], kind: str = "compressed", black: float = 512) -> Path:
-    cfa, compression = KINDS[kind]
+    cfa, compression = DNG_KINDS[kind]
     height, width = mosaic.shape
     sensor = make_sensor(cfa, height, width, black_level_dn=(black,) * levels_of(cfa))
     write_dng(path, mosaic, sensor, EXPOSURE, compression=compression)
@@ -81,11 +70,11 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path
     levels = [(3.0, 5000.0), (2.0, 40.0), (1.0, 0.0)]
     return {
         kind: [write(folder / f"{kind} {i}.dng", photograph(*level, seed=i), kind) for i, level in enumerate(levels)]
-        for kind in KINDS
+        for kind in DNG_KINDS
     }
 
 
-@in_one_test("kind", KINDS)
+@in_one_test("kind", DNG_KINDS)
 @in_one_test("loss", LOSSES)
 def test_lost_pages_are_noticed_on_reading(
     kind: str, loss: str, photographs: dict[str, list[Path]], tmp_path: Path
@@ -132,7 +121,7 @@ def unusual() -> dict[str, NDArray[np.uint16]]:
     }
 
 
-@in_one_test("kind", KINDS)
+@in_one_test("kind", DNG_KINDS)
 def test_unusual_frames_are_not_damaged(kind: str, tmp_path: Path) -> None:
     for name, mosaic in unusual().items():
         path = write(tmp_path / "a.dng", mosaic, kind)
@@ -279,7 +268,7 @@ def test_strips_that_share_their_bytes_are_not_read_for_ever(tmp_path: Path) -> 
 # --- borders without picture ------------------------------------------------------------------------------------------
 
 
-@in_one_test("kind", KINDS)
+@in_one_test("kind", DNG_KINDS)
 def test_rows_and_columns_without_picture_are_no_damage(kind: str, tmp_path: Path) -> None:
     """Of 0 and of black, in dark and bright frames; a single last row, or one with what comes before it, is lost."""
     for level in ((1.0, 0.0), (3.0, 5000.0)):

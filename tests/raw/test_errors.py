@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import imagecodecs
 import numpy as np
@@ -16,10 +16,9 @@ from eldata.isp import render_libraw
 from eldata.raw import read_header, read_raw, write_dng
 from tests.cases import in_one_test
 from tests.raw.helpers import (
-    BAYER,
+    DNG_KINDS,
     EXPOSURE,
     XTRANS,
-    Cfa,
     Tag,
     active_area,
     add_tags,
@@ -29,19 +28,11 @@ from tests.raw.helpers import (
     opcode_list,
     random_mosaic,
     write_plain_dng,
-    xtrans_at,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
-
-KINDS: dict[str, tuple[Cfa, Literal["none", "lossless-jpeg"]]] = {
-    "uncompressed": (BAYER["RGGB"], "none"),
-    "lossless JPEG": (BAYER["GBRG"], "lossless-jpeg"),
-    "X-Trans": (xtrans_at(1, 2), "none"),
-    "X-Trans lossless JPEG": (xtrans_at(0, 0), "lossless-jpeg"),
-}
 
 
 @pytest.fixture(autouse=True)
@@ -91,13 +82,13 @@ def test_noise(content: bytes, words: str, tmp_path: Path) -> None:
 
 def written(path: Path, kind: str) -> tuple[bytes, int]:
     """Write a DNG of a kind; return its bytes, and where its pixels end."""
-    cfa, compression = KINDS[kind]
+    cfa, compression = DNG_KINDS[kind]
     write_dng(path, random_mosaic(24, 26), make_sensor(cfa, 24, 26), EXPOSURE, compression=compression)
     with tifffile.TiffFile(path) as tiff:
         return path.read_bytes(), tiff.pages.first.dataoffsets[0] + tiff.pages.first.databytecounts[0]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DNG_KINDS)
 def test_a_file_cut_anywhere_before_its_exif_is_refused(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "a.dng"
     data, end = written(path, kind)
@@ -111,7 +102,7 @@ def test_a_file_cut_anywhere_before_its_exif_is_refused(kind: str, tmp_path: Pat
 # Regression: EXIF stands behind the pixels. Where its last values are cut off exifread makes up numbers
 # (1/30 s becomes 1/1, 255/256, 1/4294967296...) or leaves them out, logs "Unexpected slice length" on stderr,
 # and read_raw returns them as the exposure.
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DNG_KINDS)
 def test_a_file_cut_inside_of_its_exif_never_gives_another_exposure(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "a.dng"
     data, end = written(path, kind)
@@ -168,18 +159,11 @@ def of_planes(*numbers: int) -> list[Tag]:
 
 REFUSED = [
     # levels
-    Case(
-        "its BlackLevel has 2 numbers, expected 4 by .*; write it again",
-        [tag(REPEAT, "H", 2, 2), tag(BLACK, "I", 1, 2)],
-    ),
+    Case("BlackLevel has 2 numbers, expected 4 .*write it again", [tag(REPEAT, "H", 2, 2), tag(BLACK, "I", 1, 2)]),
     Case("its BlackLevel has 4 numbers, expected 1 by", [tag(REPEAT, "H", 2), tag(BLACK, "I", 1, 2, 3, 4)]),
     Case("its BlackLevel has 1 number, expected 2 by", [tag(REPEAT, "H", 1, 2), tag(BLACK, "I", 64)]),
-    Case(
-        "states no BlackLevel, only the MaskedAreas.*; measure it there and",
-        [active_area(0, 2, 64, 66), tag(MASKED, "I", 0, 0, 64, 2)],
-    ),
+    Case("no BlackLevel, only the MaskedAreas.*measure", [active_area(0, 2, 64, 66), tag(MASKED, "I", 0, 0, 64, 2)]),
     Case("damaged: its BlackLevel is not a number", [tag(BLACK, "d", NAN)]),
-    Case("damaged: its BlackLevel is not a number", [tag(BLACK, "f", NAN)]),
     # which LibRaw takes for 0
     Case("damaged: its BlackLevel is not a number", [tag(BLACK, "2I", 512, 0)]),
     Case("damaged: its WhiteLevel is not a number", [tag(WHITE, "2I", 512, 0)], options={"white": None}),
@@ -187,20 +171,13 @@ REFUSED = [
     # numbers that are missing or impossible
     Case("damaged: expected 2 numbers .* tag 50713", [tag(REPEAT, "H", 2, 2, 1), tag(BLACK, "H", 1, 2, 3, 4)]),
     Case(r"damaged: its BlackLevel repeats every \(0, 0\) pixels", [tag(REPEAT, "H", 0, 0), tag(BLACK, "H", 1)]),
-    Case(
-        r"damaged: its BlackLevel repeats every \(1, 65\) pixels", [tag(REPEAT, "H", 1, 65), tag(BLACK, "H", *[1] * 65)]
-    ),
-    Case("damaged: expected 4 numbers .* tag 50830", [tag(MASKED, "I", 0, 0, 1)]),
+    Case(r"damaged: its BlackLevel repeats every \(1, 65\)", [tag(REPEAT, "H", 1, 65), tag(BLACK, "H", *[1] * 65)]),
     Case("damaged: expected 4 numbers .* tag 50830", [tag(MASKED, "I", *(0, 0, 1, 1) * 9)]),  # more than any camera's
     Case("damaged: expected 4 numbers .* tag 50829", [tag(50829, "I", 0, 0)]),
     Case("damaged: expected 4 numbers from 0 on as its tag 50829; found -8", [tag(50829, "i", -8, -8, 60, 60)]),
     Case("damaged: expected 2 numbers .* tag 33421", [tag(33421, "H", 2)], None),
-    Case("damaged: its list of opcodes .* 40 bytes", [opcode_list(2, 9, declared=2)]),
     Case("damaged: its list of opcodes .* 40 bytes", [opcode_list(2, 9, declared=2**32 - 1)]),
-    Case(
-        "truncated: its image data, 40 bytes, cannot hold 5184 pixels",
-        changed=[tag(COMPRESSION, "H", 7), tag(279, "I", 40)],
-    ),
+    Case("truncated: its image data, 40 bytes, cannot hold", changed=[tag(COMPRESSION, "H", 7), tag(279, "I", 40)]),
     # layouts and compressions
     *(
         Case(f"has interleaved {name.lower()}s .its {name}InterleaveFactor is {number}", [tag(code, "I", number)])
@@ -233,6 +210,7 @@ REFUSED = [
     Case(r"array: CYGM \(cyan.*2 x 2 sites of CGMY", of_planes(3, 4, 5, 1), None),
     Case(r"array: RGBW \(with white", of_planes(0, 1, 6, 2), None),
 ]
+OF_COLOURS = {"photometric": 34892, "planarconfig": 1}
 # Only their samples show it.
 REFUSED_DECODED = [
     *(
@@ -240,12 +218,7 @@ REFUSED_DECODED = [
         for white in (400, 100)
     ),
     *(Case("no colour filter array", pattern=pattern) for pattern in (None, ("RR", "RR"))),
-    Case(
-        "already demosaiced",
-        pattern=None,
-        data=MOSAIC.reshape(24, 72, 3),
-        options={"photometric": 34892, "planarconfig": 1},
-    ),
+    Case("already demosaiced", pattern=None, data=MOSAIC.reshape(24, 72, 3), options=OF_COLOURS),
 ]
 
 

@@ -20,19 +20,18 @@ from eldata.evaluation.scores import cameras_in_order, natural
 from eldata.evaluation.statistics import holm
 from eldata.reports import pictures
 from eldata.reports.comparison import write_comparison_page
-from tests.capture.checklist_browser import Browser, Page
 from tests.evaluation.helpers import Tree, perturbed, place, small_tree
 from tests.reports.evaluations import written
 from tests.reports.pages import OUTSIDE, assert_well_formed, checked
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.looking import ScoredImage
+    from tests.capture.checklist_browser import Page
 
 CROP = (12, 16)
 IMAGES = 12  # two cameras, one scene, three ISOs, two factors
@@ -195,12 +194,9 @@ def test_the_command_draws_and_says_what_is_in_its_way(
 
 
 @pytest.fixture
-def page(browser: Browser, compared: Compared, tmp_path: Path) -> Iterator[Page]:
-    page = Page(browser, tmp_path, 1280, 900)
-    page.open(compared.page.as_uri())
-    yield page
-    assert page.problems() == []  # nothing from the network, no error, nothing against the policy
-    page.close()
+def page(bare: Page, compared: Compared) -> Page:
+    bare.open(compared.page.as_uri())
+    return bare
 
 
 TRANSFORMS = "[...document.querySelectorAll('.glass img')].map((e) => e.style.transform)"

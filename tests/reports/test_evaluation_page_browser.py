@@ -12,15 +12,15 @@ from eldata.evaluation.results import saved_result
 from eldata.reports import pictures
 from eldata.reports.comparison import write_comparison_page
 from eldata.reports.evaluation import evaluation_page, write_evaluation_page
-from tests.capture.checklist_browser import Browser, Page
 from tests.evaluation.helpers import place, small_tree
 from tests.reports.evaluations import result
 from tests.reports.pages import OUTSIDE
 from tests.reports.test_evaluation_page import hostile_data
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
+
+    from tests.capture.checklist_browser import Page
 
 pytestmark = pytest.mark.browser
 
@@ -45,14 +45,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     bad = "<b>" + "long" * 30
     write_comparison_page(compare({"a": hostile[0], bad: hostile[1]}), paths["hostile-comparison"])
     return paths
-
-
-@pytest.fixture
-def bare(browser: Browser, tmp_path: Path) -> Iterator[Page]:
-    page = Page(browser, tmp_path, DESKTOP, 900)
-    yield page
-    assert page.problems() == []  # nothing from the network, no error, nothing against the policy
-    page.close()
 
 
 @pytest.fixture

@@ -20,7 +20,6 @@ from eldata.plots.pictures import block_means, grey_png
 from eldata.reports.calibration import calibration_page
 from eldata.reports.html import digits, format_measured, prose, typeset
 from tests.calibration.simulation import XTRANS
-from tests.capture.checklist_browser import Browser, Page
 from tests.reports import calibrations
 from tests.reports.calibrations import camera_at
 from tests.reports.pages import HOSTILE, OUTSIDE, assert_self_contained, assert_well_formed, checked
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
 
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
+    from tests.capture.checklist_browser import Page
 
 DRAWINGS, PICTURES = 8, 1 + 2 + 4  # of an ISO that has everything: spectrum, two frames, shading by channel
 
@@ -251,17 +251,15 @@ def test_blocks_are_means() -> None:
 
 @pytest.mark.browser
 @pytest.mark.parametrize(("which", "width"), [*((which, 390) for which in PAGES), ("page", 1280)])
-def test_in_a_browser(browser: Browser, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_in_a_browser(bare: Page, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     text = request.getfixturevalue(which).replace('<details class="iso">', '<details class="iso" open>')
     (tmp_path / "page.html").write_text(text, encoding="utf-8")
-    page = Page(browser, tmp_path, width, 900)
-    page.open((tmp_path / "page.html").as_uri())
-    assert page.run("innerWidth") == width
-    assert page.run("document.documentElement.scrollWidth") <= width
-    assert page.run(OUTSIDE) == []
-    images = page.run("[...document.images].map((e) => [e.complete, e.naturalWidth, e.width, e.height])")
-    assert page.problems() == []  # nothing from the network, no error, nothing against the policy
-    page.close()
+    bare.resize(width)
+    bare.open((tmp_path / "page.html").as_uri())
+    assert bare.run("innerWidth") == width
+    assert bare.run("document.documentElement.scrollWidth") <= width
+    assert bare.run(OUTSIDE) == []
+    images = bare.run("[...document.images].map((e) => [e.complete, e.naturalWidth, e.width, e.height])")
     for complete, natural, *shown in images:
         assert complete
         assert natural > 0

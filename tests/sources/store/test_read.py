@@ -100,7 +100,6 @@ WRITER = rf"written by eldata .*; .* reads version {VERSION}: "
         (lambda path: path.write_text("path,role"), "is not an HDF5 file; eldata pack makes stores"),
         (write_hdf5, "is an HDF5 file, but not a store of eldata"),
         (lambda path: os.truncate(path, 0), r"is empty \(0 bytes\)"),
-        (lambda path: os.truncate(path, path.stat().st_size // 50), "is damaged .*truncated file.*; copy or pack it"),
         (lambda path: os.truncate(path, path.stat().st_size - 200), "is damaged .*truncated file.*; copy or pack it"),
         (edit(lambda file: file.attrs.update(version=VERSION + 1)), f"{WRITER}install a newer one"),
         (edit(lambda file: file.attrs.update(version=VERSION - 1)), f"{WRITER}pack it again"),
@@ -241,11 +240,7 @@ def test_a_store_that_changes_under_an_open_dataset(
     frame.whole()
     size = path.stat().st_size
     os.truncate(path, int(size * share))
-    refused(
-        path,
-        f"had {size} bytes when it was opened and has {int(size * share)} now; .*renaming",
-        lambda _: frame.whole(),
-    )
+    refused(path, f"had {size} bytes when it was opened and has {int(size * share)} now; ", lambda _: frame.whole())
 
 
 def test_a_store_that_is_replaced_by_renaming(own: Path, tmp_path: Path) -> None:

@@ -191,7 +191,8 @@ def interrupt_manifest(patch: pytest.MonkeyPatch, suffix: str) -> None:
             if path.suffix == suffix:
                 raise KeyboardInterrupt
 
-    patch.setattr("eldata.manifest.catalogue.atomic_write", write)
+    for module in ("catalogue", "card"):
+        patch.setattr(f"eldata.manifest.{module}.atomic_write", write)
 
 
 if __name__ == "__main__":

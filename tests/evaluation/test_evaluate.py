@@ -275,7 +275,7 @@ def test_each_file_is_read_once(own: OwnSet, folders: dict[str, Path]) -> None:
     """However many folders there are; and no noisy frame that no prediction is looked at with."""
     from eldata.raw import reading
 
-    decode, load, read = reading.read_raw, load_prediction, Counter[str]()
+    decode, load, read = reading.open_frame, load_prediction, Counter[str]()
 
     def counted(path: Any, *arguments: Any, **options: Any) -> Any:
         read[Path(path).name] += 1
@@ -285,7 +285,7 @@ def test_each_file_is_read_once(own: OwnSet, folders: dict[str, Path]) -> None:
         read[str(path)] += 1
         return load(path, *arguments)
 
-    with patch.object(reading, "read_raw", counted), patch.object(score, "load_prediction", loaded):
+    with patch.object(reading, "open_frame", counted), patch.object(score, "load_prediction", loaded):
         evaluate_methods({name: folders[name] for name in ("good", "swapped")}, **own.where)
     assert read["clean.dng"] == 2
     assert max(read[name] for name in ("x50.dng", "x100.dng")) <= 2 * 2  # one of each scene, for each folder

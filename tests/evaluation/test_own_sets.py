@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.evaluation import EvaluationResult
-    from eldata.records import RawFrame
     from tests.drv_tree import SmallDrv
     from tests.evaluation.helpers import Tree
 
@@ -53,15 +52,16 @@ def test_frames_are_gone_before_the_next_ones_are_read(own: OwnSet, monkeypatch:
 
     read: list[weakref.ref[NDArray[Any]]] = []
     alive: list[int] = []
-    genuine = reading.read_raw
+    genuine = reading.open_frame
 
-    def watched(path: Path) -> RawFrame:
+    def watched(path: Path) -> Any:
         alive.append(sum(mosaic() is not None for mosaic in read))
-        frame = genuine(path)
+        frame, layout = genuine(path)
         read.append(weakref.ref(frame.mosaic))
-        return frame
+        return frame, layout
 
-    monkeypatch.setattr(reading, "read_raw", watched)
+    monkeypatch.setenv(reading.DECODER_VARIABLE, "libraw")
+    monkeypatch.setattr(reading, "open_frame", watched)
     gc.disable()
     try:
         evaluate(own.predictions, **own.where)

@@ -191,8 +191,8 @@ def interrupt_manifest(patch: pytest.MonkeyPatch, suffix: str) -> None:
             if path.suffix == suffix:
                 raise KeyboardInterrupt
 
-    for module in ("catalogue", "card"):
-        patch.setattr(f"eldata.manifest.{module}.atomic_write", write)
+    for module in ("manifest.catalogue", "base.files"):
+        patch.setattr(f"eldata.{module}.atomic_write", write)
 
 
 if __name__ == "__main__":

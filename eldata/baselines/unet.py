@@ -16,7 +16,6 @@ from torch import nn
 
 from eldata.base.files import sha256_of
 from eldata.base.seeds import checked_seed, purpose_sequence
-from eldata.baselines.classical import decorrelation
 from eldata.errors import ArgumentError, DatasetError, FileError
 
 if TYPE_CHECKING:
@@ -165,6 +164,9 @@ def save_weights(network: nn.Module, path: Path) -> None:
 # --- a network that is told the noise, and so is trained once for all cameras, gains and factors ----------------------
 
 _NOISE_AWARE = "noise_aware.safetensors"
+_ROOT = 0.5**0.5
+# Orthonormal, so that white noise stays white: from R, G1, B, G2, brightness and three differences.
+_COLOURS = ((0.5, 0.5, 0.5, 0.5), (0.5, -0.5, 0.5, -0.5), (_ROOT, 0.0, -_ROOT, 0.0), (0.0, _ROOT, 0.0, -_ROOT))
 _SOFT = 8.0  # standard deviations of noise up to which details are about linear
 _REACH = 5  # of the mean that is taken off, in pixels of the halved image
 
@@ -226,7 +228,7 @@ class NoiseAwareUNet(nn.Module):
         draw_weights(self, seed)
         for last in (self.last, *(block.second for block in self.modules() if isinstance(block, _Block))):
             nn.init.zeros_(last.weight)
-        both = torch.kron(torch.from_numpy(decorrelation(4)).float(), torch.from_numpy(hadamard(4, np.float32)) / 2)
+        both = torch.kron(torch.tensor(_COLOURS), torch.from_numpy(hadamard(4, np.float32)) / 2)
         self.register_buffer("_matrix", both, persistent=False)
 
     def forward(self, noisy: torch.Tensor, slope: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:

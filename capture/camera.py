@@ -12,7 +12,7 @@ import math
 import re
 from bisect import bisect_left
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from fractions import Fraction
 from functools import cache
 from itertools import pairwise
@@ -480,16 +480,8 @@ def read_camera(top: Fields) -> CameraDescription:
 
 def camera_as_dict(camera: CameraDescription) -> dict[str, Any]:
     """Return a camera description as plain JSON types, without the schema number."""
-    return {
-        "name": camera.name,
-        "models": list(camera.models),
-        "raw_extension": camera.raw_extension,
-        "isos": list(camera.isos),
-        "base_iso": camera.base_iso,
-        "shutter": shutter_as_dict(camera.shutter),
-        "cfa": camera.cfa,
-        "true_isos": {str(iso): float(speed) for iso, speed in camera.true_isos},
-    }
+    true_isos = {str(iso): float(speed) for iso, speed in camera.true_isos}
+    return asdict(camera) | {"shutter": shutter_as_dict(camera.shutter), "true_isos": true_isos}
 
 
 EXAMPLE: Final = CameraDescription(

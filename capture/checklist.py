@@ -7,7 +7,6 @@ on the camera's dial, as :mod:`capture.shots` plans them.
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import json
 from dataclasses import dataclass
@@ -157,7 +156,7 @@ def _dump_json(data: object) -> str:
 
 def html_checklist(plan: Plan) -> str:
     """Return the checklist as a page; the same plan gives the same page."""
-    from eldata.reports.html import render_page
+    from eldata.reports.html import policy_hash, render_page
 
     # With the line end that stands before them in the page, since the policy's hashes are of elements' whole content.
     style, script = ("\n" + (TEMPLATES / f"checklist.{suffix}").read_text(encoding="utf-8") for suffix in ("css", "js"))
@@ -177,14 +176,9 @@ def html_checklist(plan: Plan) -> str:
         data=data,
         style=style,
         script=script,
-        style_hash=_policy_hash(style),
-        script_hash=_policy_hash(script),
+        style_hash=policy_hash(style),
+        script_hash=policy_hash(script),
     )
-
-
-def _policy_hash(text: str) -> str:
-    """Hash a script or style, as a page's policy names the one that may run."""
-    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 
 def _collect_data(plan: Plan) -> dict[str, Any]:

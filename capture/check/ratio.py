@@ -117,7 +117,8 @@ def fit_ratio(reference: Cells, noisy: Cells, expected: float | None = None) -> 
 
     ``expected``: the exposure ratio that is stated.
     """
-    x, y, usable = _pool_strips(reference, noisy)
+    (light, unclipped_x), (dark, unclipped_y) = (cells.pooled(*STRIP) for cells in (reference, noisy))
+    x, y, usable = light.astype(np.float64), dark.astype(np.float64), unclipped_x & unclipped_y
     if int(usable.sum()) < _LEAST_STRIPS or noisy.zero_share > _ZERO_SHARE:
         return None
     level = _bin_levels(x, usable)
@@ -180,13 +181,6 @@ def measure_change(first: Cells, second: Cells, brightness: float, offset_dn: Se
     beside = np.pad(changed, 1)
     beside = beside[:-2, 1:-1] | beside[2:, 1:-1] | beside[1:-1, :-2] | beside[1:-1, 2:]
     return float(np.mean((changed & beside)[usable]))
-
-
-def _pool_strips(first: Cells, second: Cells) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Average strips of two frames; return also the mask of strips unclipped in both."""
-    x, unclipped_x = first.pooled(*STRIP)
-    y, unclipped_y = second.pooled(*STRIP)
-    return x.astype(np.float64), y.astype(np.float64), unclipped_x & unclipped_y
 
 
 def _bin_levels(values: Array, usable: NDArray[np.bool_]) -> NDArray[np.intp]:

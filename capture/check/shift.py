@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _SIDES: Final = (256, 128, 64, 32)
 _LEAST_TILES_A_SIDE: Final = 3  # with the largest tiles; smaller frames take smaller tiles
 _MOST_TILES: Final = (4, 6)
-_SHIFT_BAND: Final = (3.0, 0.2)  # cycles per tile, cycles per packed pixel
+_SHIFT_FROM, _SHIFT_UP_TO = 3.0, 0.2  # cycles per tile, cycles per packed pixel
 _FOCUS_BAND: Final = (0.1, 0.4)  # cycles per packed pixel
 # A Hann window's independent frequencies are fewer than the frequencies by sum(w^4) n / sum(w^2)^2 in each direction,
 # w^2 being the noise's variance along the tile: (35/128) / (3/8)^2 = 1.94.
@@ -124,11 +124,10 @@ def _make_unshift_factors(down: NDArray[np.float64], right: NDArray[np.float64],
     return factors
 
 
-def _choose_frequencies(side: int) -> NDArray[np.bool_]:
-    """Choose the frequencies from which a shift is estimated, as a mask."""
-    fy, fx = _list_frequencies(side)
-    radius = np.hypot(fy, fx)
-    return (radius * side >= _SHIFT_BAND[0]) & (radius <= _SHIFT_BAND[1])
+def _choose_frequencies(side: int, lowest: float, highest: float) -> NDArray[np.bool_]:
+    """Choose the frequencies of a tile between two limits, cycles per packed pixel, as a mask."""
+    radius = np.hypot(*_list_frequencies(side))
+    return (radius >= lowest) & (radius <= highest)
 
 
 def _find_whole_shift(first: Tiles, second: Spectra) -> tuple[int, int]:
@@ -136,7 +135,7 @@ def _find_whole_shift(first: Tiles, second: Spectra) -> tuple[int, int]:
     import scipy.fft
 
     side = first.side
-    cross = np.where(_choose_frequencies(side), np.conj(first.spectra) * second, 0)
+    cross = np.where(_choose_frequencies(side, _SHIFT_FROM / side, _SHIFT_UP_TO), np.conj(first.spectra) * second, 0)
     magnitude = np.abs(cross)
     # Well below the mean magnitude a frequency is mostly noise: it counts in proportion instead of fully.
     floor = magnitude.mean(axis=(1, 2), keepdims=True) / 10 + np.finfo(np.float32).tiny
@@ -153,7 +152,7 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
     """
     side = first.side
     fy, fx = _list_frequencies(side)
-    band = _choose_frequencies(side)
+    band = _choose_frequencies(side, _SHIFT_FROM / side, _SHIFT_UP_TO)
     cross = np.conj(first.spectra).astype(np.complex128) * second.spectra
     down = right = np.zeros(len(cross))
     wave_y, wave_x = (2 * np.pi * np.broadcast_to(axis, band.shape)[band] for axis in (fy, fx))
@@ -221,9 +220,7 @@ def measure_focus(first: Tiles, second: Tiles, shift: Shift, brightness: float) 
         Ratio of the frames' brightness, which is taken off.
     """
     side = first.side
-    fy, fx = _list_frequencies(side)
-    radius = np.hypot(fy, fx)
-    band = (radius >= _FOCUS_BAND[0]) & (radius <= _FOCUS_BAND[1])
+    band = _choose_frequencies(side, *_FOCUS_BAND)
     down, right = (np.array([estimate.value]) for estimate in shift)
     undo = _make_unshift_factors(down, right, side)[0][band] / brightness
     before, after = first.spectra[:, band], second.spectra[:, band] * undo

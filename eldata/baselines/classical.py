@@ -26,7 +26,7 @@ from eldata.baselines.tiling import tiled
 from eldata.errors import ArgumentError, DatasetError, EldataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -76,26 +76,6 @@ def noise_of_parameters(parameters: NoiseParameters, *, ratio: float, range_dn: 
     rounding = parameters.quantisation_step_dn**2 / 12
     black = tuple(bias * scale for bias in parameters.colour_bias_dn)
     return SignalNoise(float(parameters.gain_dn_per_e) * scale, (gauss**2 + row**2 + rounding) * scale**2, black)
-
-
-def noise_of_image(image: Values | Iterable[Values]) -> SignalNoise:
-    """Estimate the noise line from a frame itself (:func:`eldata.baselines.noise_line.noise_line`), without row noise.
-
-    Parameters
-    ----------
-    image
-        (C, h, w), negative values kept, or its bands as there.
-
-    Raises
-    ------
-    DatasetError
-        If the frame does not tell its noise: too small, textured all over, smoothed, or without noise.
-    """
-    from eldata.baselines.noise_line import noise_line
-
-    line = noise_line(image)
-    # A line fitted to bright parts alone may cross 0 before black.
-    return SignalNoise(max(line.slope, 0.0), max(line.offset, line.least_variance / 4))
 
 
 _SIDE = 8  # of a patch

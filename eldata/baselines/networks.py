@@ -9,7 +9,8 @@ import glob
 import hashlib
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from inspect import Parameter, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -84,50 +85,35 @@ class NetworkDenoiser:
     def __call__(self, frame: NoisyFrame) -> Values:
         """Return the network's prediction of a frame."""
         sides = {"tile": self.tile, "overlap": self.overlap, "multiple": self.multiple}
-        if self.window == 1:
-            return tiled(self.run, frame.image, **sides)
-        frames = frame.window(self.window)
-        count, channels, *size = frames.shape
+        image = frame.image if self.window == 1 else frame.window(self.window)
+        *taken, height, width = image.shape  # tiles are cut of frames as of channels
         return tiled(
-            lambda part: self.run(part.reshape(count, channels, *part.shape[1:])),
-            frames.reshape(count * channels, *size),
-            **sides,
+            lambda part: self.run(part.reshape(*taken, *part.shape[1:])), image.reshape(-1, height, width), **sides
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _TorchRun:
-    """A module or function of tensors (1, C, h, w) or (1, T, C, h, w), on a device."""
+def _run_torch(function: Callable[..., Any], device: str, precision: Precision, image: NDArray[np.float32]) -> Values:
+    """Run a module or function of tensors (1, C, h, w) or (1, T, C, h, w), on a device."""
+    import torch
 
-    function: Callable[..., Any]
-    device: str
-    precision: Precision
-
-    def __call__(self, image: NDArray[np.float32]) -> Values:
-        import torch
-
-        numbers = torch.from_numpy(image)[None].to(self.device)
-        mixed = None if self.precision == "float32" else getattr(torch, self.precision)
-        kind = self.device.partition(":")[0]
-        try:
-            with torch.inference_mode(), torch.autocast(kind, dtype=mixed, enabled=mixed is not None):
-                made = self.function(numbers)
-        except Exception as error:
-            advice = "; take smaller tiles (--tile)" if isinstance(error, torch.OutOfMemoryError) else ""
-            raise EldataError(_describe_failure(image, error) + advice) from error
-        return _take_image(made.float().cpu().numpy() if isinstance(made, torch.Tensor) else made, image)
+    numbers = torch.from_numpy(image)[None].to(device)
+    mixed = None if precision == "float32" else getattr(torch, precision)
+    try:
+        with torch.inference_mode(), torch.autocast(numbers.device.type, dtype=mixed, enabled=mixed is not None):
+            made = function(numbers)
+    except Exception as error:
+        advice = "; take smaller tiles (--tile)" if isinstance(error, torch.OutOfMemoryError) else ""
+        raise EldataError(_describe_failure(image, error) + advice) from error
+    return _take_image(made.float().cpu().numpy() if isinstance(made, torch.Tensor) else made, image)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _OnnxRun:
-    session: Any = field(repr=False)
-
-    def __call__(self, image: NDArray[np.float32]) -> Values:
-        try:
-            made = self.session.run(None, {self.session.get_inputs()[0].name: image[None]})[0]
-        except Exception as error:  # ONNX Runtime's own classes, without a common base
-            raise EldataError(_describe_failure(image, error)) from error
-        return _take_image(made, image)
+def _run_onnx(session: Any, image: NDArray[np.float32]) -> Values:
+    """Run a session of ONNX Runtime."""
+    try:
+        made = session.run(None, {session.get_inputs()[0].name: image[None]})[0]
+    except Exception as error:  # ONNX Runtime's own classes, without a common base
+        raise EldataError(_describe_failure(image, error)) from error
+    return _take_image(made, image)
 
 
 def _take_image(made: Any, image: NDArray[np.float32]) -> Values:
@@ -193,7 +179,7 @@ def load_network(
     if is_code:
         module = _import_network(model, weights)
         identity = {"denoiser": model}
-        run = _TorchRun(_prepare_module(module, where), where, precision)
+        run = partial(_run_torch, _prepare_module(module, where), where, precision)
         if isinstance(module, torch.nn.Module):
             identity["weights_sha256"] = _digest_of(module)
             taken = TakenInput(_read_attribute(module, "window"), _read_attribute(module, "multiple"))
@@ -210,10 +196,10 @@ def load_network(
             identity |= {file.name: sha256_of(file) for file in beside}
             if precision != "float32":
                 raise ArgumentError(f"--precision is torch's; {model} computes in the types that it was exported with")
-            run = _OnnxRun(_open_onnx(path, where))
+            run = partial(_run_onnx, _open_onnx(path, where))
         else:
             module, taken = load_exported(path) if path.suffix == ".pt2" else (_load_script(path), taken)
-            run = _TorchRun(_prepare_module(module, where), where, precision)
+            run = partial(_run_torch, _prepare_module(module, where), where, precision)
     frames, sides = _choose_sizes(model, taken, window, multiple)
     return NetworkDenoiser(run, identity, tile, overlap, sides, precision, frames, taken.clip, is_code)
 

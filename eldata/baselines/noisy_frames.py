@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.baselines.classical import SignalNoise, noise_of_image, noise_of_parameters
+from eldata.baselines.classical import SignalNoise, noise_of_parameters
 from eldata.baselines.exported import checked_window
 from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import render_to_8_bits
@@ -160,19 +160,28 @@ def mirrored_window(clip: Clip, path: str, length: int) -> tuple[str, ...]:
 
 
 def estimate_line(image: Values | Iterable[Values]) -> SignalNoise:
-    """Estimate the noise of a frame from the frame itself (:func:`eldata.baselines.classical.noise_of_image`).
+    """Estimate the noise line from a frame itself (:func:`eldata.baselines.noise_line.noise_line`), without row noise.
+
+    Parameters
+    ----------
+    image
+        (C, h, w), negative values kept, or its bands as there.
 
     Raises
     ------
     DatasetError
-        If it tells nothing.
+        If the frame does not tell its noise: too small, textured all over, smoothed, or without noise.
     """
+    from eldata.baselines.noise_line import noise_line
+
     try:
-        return noise_of_image(image)
+        line = noise_line(image)
     except DatasetError as error:
         raise DatasetError(
             f"{error}. With the camera's noise given (--profile, profiles=...) the frame need not tell it"
         ) from error
+    # A line fitted to bright parts alone may cross 0 before black.
+    return SignalNoise(max(line.slope, 0.0), max(line.offset, line.least_variance / 4))
 
 
 def line_of_profile(

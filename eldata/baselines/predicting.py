@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -261,7 +262,7 @@ def write_predictions(
                 remove_leftovers(place)
         units = _plan_units(request, pairs, folder)
         missing = [_name_prediction(folder, unit.pair, path) for unit in units for path in unit.missing]
-        work = _Prediction(denoiser, request.files, folder, chosen, wanted_clip, dtype, request.dark_shading)
+        work = partial(_predict_unit, denoiser, request.files, folder, chosen, wanted_clip, dtype, request.dark_shading)
         what = "frame" if request.kind is IMAGES else "clip"
         outcomes = request.workers.attempt(work, units, label="denoising", unit=what)
         failed: dict[str, list[str]] = {}
@@ -321,34 +322,26 @@ class _Unit:
         return self.pair.path
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Prediction:
-    """The work on one unit: from raw files to the predictions' files."""
-
-    denoiser: Denoiser
-    dataset: FrameFiles
-    out: Path
-    protocol: ScoringProtocol
-    clip: ClipRange
-    dtype: PixelType
-    dark_shading: Path | None
-
-    def __call__(self, unit: _Unit) -> None:
-        pair = unit.pair
-        require_files(*(inside(self.dataset.folder, path) for path in pair.files))
-        frames = NoisyFrames(self.dataset, pair, unit.clip, self.protocol, self.clip, self.dark_shading)
-        for path in unit.missing:
-            frame = frames.frame(path)
-            predicted = np.asarray(self.denoiser(frame))
-            expected = (3 if self.protocol.pixels == "srgb" else len(frame.image), *frame.image.shape[1:])
-            if predicted.shape != expected:
-                raise DatasetError(
-                    f"the denoiser made {predicted.shape} of a frame of {frame.image.shape}; protocol "
-                    f"{self.protocol.name} takes {expected}"
-                )
-            unusable = int(np.count_nonzero(~np.isfinite(predicted)))
-            if unusable:
-                raise DatasetError(f"the denoiser made {unusable} of {predicted.size} values NaN or infinite")
-            if self.dtype == "uint16":
-                predicted = np.rint(np.clip(predicted, 0.0, 1.0) * 65535)
-            save_prediction(self.out, pair.place(path), predicted.astype(self.dtype))
+def _predict_unit(
+    denoiser: Denoiser, dataset: FrameFiles, out: Path, protocol: ScoringProtocol, clip: ClipRange, dtype: PixelType,
+    dark_shading: Path | None, unit: _Unit,
+) -> None:  # fmt: skip
+    """Work on one unit: from raw files to the predictions' files."""
+    pair = unit.pair
+    require_files(*(inside(dataset.folder, path) for path in pair.files))
+    frames = NoisyFrames(dataset, pair, unit.clip, protocol, clip, dark_shading)
+    for path in unit.missing:
+        frame = frames.frame(path)
+        predicted = np.asarray(denoiser(frame))
+        expected = (3 if protocol.pixels == "srgb" else len(frame.image), *frame.image.shape[1:])
+        if predicted.shape != expected:
+            raise DatasetError(
+                f"the denoiser made {predicted.shape} of a frame of {frame.image.shape}; protocol {protocol.name} "
+                f"takes {expected}"
+            )
+        unusable = int(np.count_nonzero(~np.isfinite(predicted)))
+        if unusable:
+            raise DatasetError(f"the denoiser made {unusable} of {predicted.size} values NaN or infinite")
+        if dtype == "uint16":
+            predicted = np.rint(np.clip(predicted, 0.0, 1.0) * 65535)
+        save_prediction(out, pair.place(path), predicted.astype(dtype))

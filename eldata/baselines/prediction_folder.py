@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldata.base.fields import TextFile
-from eldata.base.files import check_same_work, remove_leftovers, try_lock, visible_below, write_json
+from eldata.base.files import check_same_work, hold_lock, remove_leftovers, try_lock, visible_below, write_json
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.request import SETTINGS
 
@@ -37,7 +36,7 @@ def begin_folder(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
     """
     file = folder / SETTINGS
     folder.mkdir(parents=True, exist_ok=True)
-    with _lock_folder(folder):
+    with hold_lock(str(folder)):
         remove_leftovers(folder)  # of work that was killed, perhaps before it had said what it is
         if not file.exists():
             if visible_below(folder, deep=False):
@@ -70,21 +69,6 @@ def _is_other_work(file: Path, settings: dict[str, Any]) -> bool:
         "input: its code or a file that it reads has changed, or it gives something else at each call; give a new "
         "folder, or remove this one to start again"
     )
-
-
-@contextmanager
-def _lock_folder(folder: Path) -> Iterator[None]:
-    """Lock the folder while a process decides about it; do nothing where folders cannot be locked."""
-    try:
-        descriptor = os.open(folder, os.O_RDONLY)
-    except PermissionError:  # Windows does not open folders
-        yield
-        return
-    try:
-        try_lock(descriptor, wait=True)
-        yield
-    finally:
-        os.close(descriptor)
 
 
 # --- what a network gives for a fixed input ---------------------------------------------------------------------------

@@ -98,7 +98,12 @@ def tile_bands(
     for top, below, row_weight in zip(rows, [*rows[1:], whole[0]], _weigh_tiles(rows, tall, overlap), strict=True):
         for left, column_weight in zip(columns, _weigh_tiles(columns, wide, overlap), strict=True):
             part = _read_tile(read, shape, (top, left), (tall, wide), multiple)
-            made = _check_size(function(part), part)
+            made = function(part)
+            if made.ndim != 3 or made.shape[1:] != part.shape[1:]:
+                raise ArgumentError(
+                    f"of an image of {part.shape} it made {made.shape}; a denoiser keeps height and width. If it "
+                    "halves its image k times, give --multiple 2^k"
+                )
             if not len(total):
                 total = np.zeros((len(made), *total.shape[1:]), np.float32)
             place = total[:, :, left : left + wide]
@@ -124,16 +129,6 @@ def _read_tile(
         part = np.pad(part, ((0, 0), *missing), mode="reflect")
     top, left = (first - begin for first, begin in zip(place, begins, strict=True))
     return np.ascontiguousarray(part[:, top:, left:])
-
-
-def _check_size(made: Values, given: Values) -> Values:
-    """Refuse a denoised image of another height or width than its input."""
-    if made.ndim != 3 or made.shape[1:] != given.shape[1:]:
-        raise ArgumentError(
-            f"of an image of {given.shape} it made {made.shape}; a denoiser keeps height and width. If it halves its "
-            "image k times, give --multiple 2^k"
-        )
-    return made
 
 
 def _place_tiles(length: int, tile: int, overlap: int) -> list[int]:

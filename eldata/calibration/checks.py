@@ -354,11 +354,6 @@ _SIGNIFICANT = 5.0  # standard errors
 _OF_ERROR = 0.2  # of K: less is in it
 
 
-def flat_findings(transfer: PhotonTransfer) -> tuple[Finding, ...]:
-    """Check the flats of one ISO for correlation of neighbours, and for a line that is bent or not K's."""
-    return (*_find_flat_correlation(transfer), *_find_bent_line(transfer))
-
-
 def find_saturation(flats: FlatPairs) -> Iterator[Finding]:
     """Yield a finding if pixels pile up at a value below the recorded white level, as where a sensor saturates.
 
@@ -411,7 +406,7 @@ def find_uneven_steps(flats: FlatPairs, transfer: PhotonTransfer) -> Iterator[Fi
         yield from findings.COARSE.judge(abs(share), _OF_ERROR * error, text, {"gain": (abs(share), _OF_ERROR * error)})
 
 
-def _find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
+def find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
     """Yield a finding if noise of neighbouring pixels is correlated in the flats."""
     from scipy.special import ndtri
 
@@ -427,7 +422,7 @@ def _find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
     yield from findings.FLATS_CORRELATED.judge(abs(correlation), threshold, text, off)
 
 
-def _find_bent_line(transfer: PhotonTransfer) -> Iterator[Finding]:
+def find_bent_line(transfer: PhotonTransfer) -> Iterator[Finding]:
     """Yield a finding if medians of the pairs' segments have no line of variance over signal, or another one than K.
 
     Edges that move between the two frames of a pair are in the mean and, up to a half of the segments, not in the

@@ -135,7 +135,8 @@ def reproduction(
     # edges on the steps themselves would tell frames apart by the slightest drift.
     steps = round(fixed.frames * sigmas[1] / 5)
     cell = max(1, steps - 1 + steps % 2) / fixed.frames
-    histograms = [_share_cells(ordered, cell) for ordered in values]
+    edges = [-np.inf, *(np.arange(-60, 61) + 0.5) * cell, np.inf]  # 120 cells around 0, and two open ones beyond
+    histograms = [np.asarray(np.histogram(ordered, edges)[0] / ordered.size) for ordered in values]
     pixels = np.maximum(sound.sum(axis=1), 1)
     rows = [np.where(sound, residual, 0).sum(axis=1) / pixels for residual in (real, simulated)]
     shown = tuple(
@@ -207,12 +208,6 @@ def _simulate(
     for _ in range(frames):
         others += make_frame()
     return first, first - others / frames
-
-
-def _share_cells(ordered: Values, cell: float) -> Values:
-    """Compute the shares of values in 120 cells around 0, and in two open ones beyond."""
-    edges = (np.arange(-60, 61) + 0.5) * cell
-    return np.asarray(np.histogram(ordered, [-np.inf, *edges, np.inf])[0] / ordered.size)
 
 
 def _measure_distance(first: Values, second: Values) -> float:

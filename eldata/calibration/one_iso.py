@@ -263,7 +263,7 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
     except DatasetError as error:
         text = f"{error}; pairs used: {', '.join(used)}"
         return make_record(*of_saturation, TRANSFER.withhold(math.nan, math.nan, text))
-    of_line, spatial = checks.flat_findings(transfer), None
+    of_line, spatial = (*checks.find_flat_correlation(transfer), *checks.find_bent_line(transfer)), None
     if all(finding.check != NO_LINE.name for finding in of_line):  # of a scene, a frame's variance is the scene's own
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(flats)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from eldata.calibration.defects import FixedPattern
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
-    from eldata.calibration.sums import Counts, Mask, Plane, Values
+    from eldata.calibration.sums import Counts, Mask, Plane
     from eldata.datasets.calibration_frames import CalibrationFrames
 
 _REACH = 2  # periods of the CFA around a hot pixel, whose sound pixels stand for it
@@ -126,9 +126,12 @@ class ShadingFit:
             self._lines[shading_iso.mode] = _Lines(*np.zeros((2, *self._hot.shape), np.float32))
         lines = self._lines[shading_iso.mode]
         of_slope, of_offset = lines.add_iso(iso, shading_iso.weight)
-        for rows, values in _subtract_black(fixed, black_level_dn):
-            slope, offset = lines.slope[rows], lines.offset[rows]
-            off = values - (slope * iso + offset)
+        step = _ROWS * len(fixed.pattern)
+        for top in range(0, len(fixed.total_dn), step):
+            rows = slice(top, top + step)
+            level, slope, offset = fixed.total_dn[rows] / fixed.frames, lines.slope[rows], lines.offset[rows]
+            off = level - by_pixel(np.asarray(black_level_dn, np.float64), fixed.pattern, level.shape)
+            off -= slope * iso + offset
             slope += of_slope * off
             offset += of_offset * off
 
@@ -164,15 +167,6 @@ class ShadingFit:
             notes=tuple(notes),
             model=model,
         )
-
-
-def _subtract_black(fixed: FixedPattern, black_level_dn: Sequence[float]) -> Iterator[tuple[slice, Values]]:
-    """Yield the mean frame over the black level, some rows at a time."""
-    step = _ROWS * len(fixed.pattern)
-    for top in range(0, len(fixed.total_dn), step):
-        rows = slice(top, top + step)
-        level = fixed.total_dn[rows] / fixed.frames
-        yield rows, level - by_pixel(np.asarray(black_level_dn, np.float64), fixed.pattern, level.shape)
 
 
 def _subtract_line(isos: Sequence[ShadingIso], mode: int) -> Iterator[ShadingIso]:

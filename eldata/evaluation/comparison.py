@@ -147,11 +147,6 @@ class Comparison:
         return _common_kind(list(self.results.values()))
 
     @property
-    def scenes_shared(self) -> bool:
-        """Whether scenes of one name under several cameras are one scene, as the first's set has it."""
-        return self.first.scenes_shared
-
-    @property
     def whole(self) -> Group:
         """The group of all common images."""
         return self.groups[-1]
@@ -213,7 +208,7 @@ class Comparison:
                 "level": LEVEL,
                 "resamples": RESAMPLES,
                 "seed": SEED,
-                "clusters": ["scene"] if self.scenes_shared else ["camera", "scene"],
+                "clusters": ["scene"] if self.first.scenes_shared else ["camera", "scene"],
             },
             "common": [scores[0].path for scores in self.images],
             "groups": [asdict(group) for group in self.groups],
@@ -490,6 +485,6 @@ def summary_of(comparison: Comparison) -> str:
 def statistics_note(comparison: Comparison) -> str:
     """Explain interval and p-value in a sentence."""
     return (
-        f"Interval: {LEVEL:.0%}, Student's t over {over_scenes(shared=comparison.scenes_shared)}; p: signs of whole "
-        f"scenes flipped, two-sided. With fewer than {FEWEST_SCENES} scenes there is no interval."
+        f"Interval: {LEVEL:.0%}, Student's t over {over_scenes(shared=comparison.first.scenes_shared)}; p: signs of "
+        f"whole scenes flipped, two-sided. With fewer than {FEWEST_SCENES} scenes there is no interval."
     )

@@ -44,15 +44,10 @@ def strips_of(
     """
     from eldata.plots.scores import Strip
 
-    def name_group(score: UnitScore) -> str:
-        """Name the group of a score, its camera or its ISO."""
-        if by == "camera":
-            return score.camera
-        return f"ISO {score.iso:g}" if score.iso else "not known"
-
     members: dict[tuple[str, float | None], list[UnitScore]] = defaultdict(list)
     for score in sorted(scores, key=lambda score: score.iso) if by == "iso" else scores:
-        members[name_group(score), score.ratio].append(score)
+        iso = f"ISO {score.iso:g}" if score.iso else "not known"
+        members[score.camera if by == "camera" else iso, score.ratio].append(score)
     return [
         Strip(
             group,

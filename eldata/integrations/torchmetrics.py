@@ -5,7 +5,6 @@ Importing this module needs torchmetrics, ``pip install 'eldata[torchmetrics]'``
 
 from __future__ import annotations
 
-import math
 import zlib
 from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import torch
 
 from eldata.errors import ArgumentError, EldataError
+from eldata.evaluation.scores import mean
 from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
 from eldata.metrics._images import check_data_range, check_threads, host_array
 from eldata.metrics.image_score import psnr
@@ -89,7 +89,7 @@ class _MeanOverImages(Metric):
         kept = getattr(self, column)  # one tensor once processes are joined, else a list
         parts = kept if isinstance(kept, list) else [kept]
         values = [value for part in parts for value in part.tolist()]
-        return torch.tensor(_exact_mean(values), dtype=torch.float64, device=self.device)
+        return torch.tensor(mean(values), dtype=torch.float64, device=self.device)
 
 
 class _OneScore(_MeanOverImages):
@@ -209,10 +209,3 @@ def _pair_images(preds: torch.Tensor, target: torch.Tensor) -> Iterator[tuple[to
     if preds.ndim not in {2, 3, 4}:
         raise ArgumentError(f"expected a batch (B, C, h, w) or one image (C, h, w), found shape {tuple(preds.shape)}")
     yield from zip(preds, target, strict=True) if preds.ndim == 4 else [(preds, target)]
-
-
-def _exact_mean(values: list[float]) -> float:
-    """Return the mean, its sum rounded once; nan of nothing and of opposite infinities."""
-    if not values or {math.inf, -math.inf} <= set(values):
-        return math.nan
-    return math.fsum(values) / len(values)

@@ -54,12 +54,7 @@ def products(prediction: Block, reference: Block, low: float, high: float) -> tu
                 p = clamp(np.float64(ps[j]), low, high) if g != 1.0 else 0.0
                 sums[0, j] += p * g
                 sums[1, j] += p * p
-    pg = 0.0
-    pp = 0.0
-    for j in range(_STRIP):
-        pg += sums[0, j]
-        pp += sums[1, j]
-    return pg, pp
+    return sums[0].sum(), sums[1].sum()
 
 
 @kernel
@@ -74,9 +69,7 @@ def squared_error(prediction: Block, reference: Block) -> float:
             for j in range(ps.size):
                 d = np.float64(ps[j]) - np.float64(gs[j])
                 sums[j] += d * d
-    total = 0.0
-    for j in range(_STRIP):
-        total += sums[j]
+    total: float = sums.sum()
     return total
 
 
@@ -198,18 +191,7 @@ def _filter_along_row(row: NDArray[np.float64], out: NDArray[np.float64], count:
 
 
 @helper
-def _filter_along_column(rows: NDArray[np.float64], first: int, out: NDArray[np.float64], count: int) -> None:
-    """Filter eleven rows from ``first`` on, down each column: ``count`` values into ``out``."""
-    for j in range(count):
-        out[j] = (
-            (_W5 * (rows[first, j] + rows[first + 10, j]) + _W4 * (rows[first + 1, j] + rows[first + 9, j]))
-            + (_W3 * (rows[first + 2, j] + rows[first + 8, j]) + _W2 * (rows[first + 3, j] + rows[first + 7, j]))
-            + (_W1 * (rows[first + 4, j] + rows[first + 6, j]) + _W0 * rows[first + 5, j])
-        )
-
-
-@helper
-def _along_two_columns(
+def _filter_along_columns(
     rows: NDArray[np.float64], first: int, above: NDArray[np.float64], below: NDArray[np.float64], count: int
 ) -> None:
     """Filter for two windows that lie one above the other: the rows that they share are loaded once."""
@@ -303,23 +285,19 @@ def gaussian_error_and_similarity(
             done = row - _GAUSSIAN_MARGIN + 1  # windows that end in this row or above
             if done <= 0 or (done % 2 == 1 and row < rows - 1):
                 continue
-            two = done % 2 == 0
-            first = (slot + 1) % _KEPT
+            # Of an odd number the last window stands alone: what is filtered below it does not count.
+            alone = done % 2
+            first = (slot + 1) % _KEPT + alone
             for channel in range(channels):
                 for which in range(4):
-                    lines = kept[channel, which]
-                    if two:
-                        _along_two_columns(
-                            lines, first, filtered[0, channel, which], filtered[1, channel, which], inner
-                        )
-                    else:
-                        _filter_along_column(lines, first + 1, filtered[0, channel, which], inner)
-            for below in range(2 if two else 1):
+                    above, below = filtered[0, channel, which], filtered[1, channel, which]
+                    _filter_along_columns(kept[channel, which], first, above, below, inner)
+            for place in range(2 - alone):
                 for channel in range(channels):
                     if channels == 1:
-                        window = filtered[below, 0]
+                        window = filtered[place, 0]
                     else:
-                        _mix(filtered[below], mixing[channel], mixed, inner)
+                        _mix(filtered[place], mixing[channel], mixed, inner)
                         window = mixed
                     for j in range(inner):
                         s_squared = window[0, j] * window[0, j]

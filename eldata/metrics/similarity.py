@@ -164,31 +164,20 @@ def error_and_ssim(
     entries = side * side
     degrees = entries - 1 if covariance == "sample" else entries
 
-    def uniform(band: Band) -> tuple[float, float]:
-        return error_and_similarity(*images.blocks(band), band.owned, treatment, c1, c2, float(degrees))
+    def work(band: Band) -> tuple[float, float]:
+        p, g = images.blocks(band)
+        if window == "uniform-7":
+            return error_and_similarity(p, g, band.owned, treatment, c1, c2, float(degrees))
+        of_one, scale = np.ones((1, 1)), entries / degrees
+        return gaussian_error_and_similarity(p[None], g[None], band.owned, treatment, of_one, c1, c2, scale)
 
-    def gaussian(band: Band) -> tuple[float, float]:
-        prediction, reference = images.blocks(band)
-        return gaussian_error_and_similarity(
-            prediction[np.newaxis],
-            reference[np.newaxis],
-            band.owned,
-            treatment,
-            _ONE_CHANNEL,
-            c1,
-            c2,
-            entries / degrees,
-        )
-
-    error, similarity = totals(images.over_bands(uniform if window == "uniform-7" else gaussian, threads, side))
+    error, similarity = totals(images.over_bands(work, threads, side))
     channels, height, width = images.prediction.shape
     windows = channels * (height - side + 1) * (width - side + 1)
     return error / images.prediction.size, similarity / windows
 
 
 # --- colour as a volume -----------------------------------------------------------------------------------------------
-
-_ONE_CHANNEL = np.ones((1, 1))
 
 
 def _weigh_channels(channels: int) -> NDArray[np.float64]:

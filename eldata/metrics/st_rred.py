@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import fmean
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -71,12 +72,12 @@ class StRred:
     @property
     def spatial(self) -> float:
         """SRRED: the mean of ``spatial_pairs``."""
-        return _mean(self.spatial_pairs)
+        return fmean(self.spatial_pairs)
 
     @property
     def temporal(self) -> float:
         """TRRED: the mean of ``temporal_pairs``."""
-        return _mean(self.temporal_pairs)
+        return fmean(self.temporal_pairs)
 
     @property
     def st_rred(self) -> float:
@@ -176,10 +177,7 @@ def st_rred(
     wanted = [(clip, frame) for first in pairs for clip in (0, 1) for frame in (first, first + 1)]
     bands = dict(zip(wanted, in_threads(work, wanted, threads), strict=True))
     scores = [
-        _compare(
-            _compute_information(bands[0, first], bands[0, first + 1]),
-            _compute_information(bands[1, first], bands[1, first + 1]),
-        )
+        _compare(*(_compute_information(bands[clip, first], bands[clip, first + 1]) for clip in (0, 1)))
         for first in pairs
     ]
     return StRred(*zip(*scores, strict=True))
@@ -296,10 +294,6 @@ def _describe_channels(what: str, channels: int) -> str:
         f"{what} has {channels} channels: reduced to grey are packed Bayer R, G1, B, G2 (4), RGB (3) and grey (1); "
         "for others pass a grey clip (T, H, W) of your own making"
     )
-
-
-def _mean(values: tuple[float, ...]) -> float:
-    return math.fsum(values) / len(values)
 
 
 # --- one band of the steerable pyramid --------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
+    from matplotlib.ticker import Locator
     from numpy.typing import NDArray
 
 Point: TypeAlias = tuple[float, float, float]
@@ -102,9 +103,14 @@ def empty_figure(ratio: float | None = None) -> tuple[Figure, tuple[Axes, ...]]:
 
 def log_ticks(axis: Axis, decades: int) -> None:
     """Label a logarithmic axis with plain numbers: more in a decade, the fewer decades there are."""
-    axis.set_major_locator(LogLocator(10, (1, 2, 5) if decades < 3 else (1,), numticks=20))
+    set_ticks(axis, LogLocator(10, (1, 2, 5) if decades < 3 else (1,), numticks=20))
+
+
+def set_ticks(axis: Axis, places: Locator, form: Callable[..., str] | None = None) -> None:
+    """Put ticks at some places alone, and label them, by default with plain numbers."""
+    axis.set_major_locator(places)
     axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(number))
+    axis.set_major_formatter(FuncFormatter(form or number))
 
 
 def number(value: float, _position: object = None) -> str:
@@ -227,9 +233,7 @@ def iso_axis(axes: Axes, isos: Sequence[float]) -> None:
     """Set up a logarithmic axis of ISOs."""
     axes.set_xscale("log")
     axes.set_xlabel("ISO")
-    axes.xaxis.set_major_locator(FixedLocator(list(isos[:: math.ceil(len(isos) / _ISOS_LABELLED)])))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(number))
+    set_ticks(axes.xaxis, FixedLocator(list(isos[:: math.ceil(len(isos) / _ISOS_LABELLED)])))
     axes.set_xlim(isos[0] / 1.4, isos[-1] * 1.4)
 
 

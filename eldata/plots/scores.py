@@ -107,24 +107,19 @@ def short(name: str) -> str:
     return drawable(name, _LONGEST_NAME)
 
 
-def mean_gains(axes: Axes, groups: Sequence[str], methods: Sequence[tuple[str, Sequence[Mean]]], theme: Theme) -> None:
-    """Draw mean differences from a first method, a row for each group, with their intervals.
+def mean_gains(axes: Axes, groups: Sequence[str], means: Sequence[Mean], theme: Theme) -> None:
+    """Draw a method's mean differences from the first, a row for each group, with their intervals.
 
-    Several methods lie under each other in a group's row and are named above; a mean that is not finite is not drawn.
+    A mean that is not finite is not drawn.
     """
     axes.axvline(0, color=theme.theory, linewidth=1)
-    step = 0.7 / len(methods)
-    for index, (name, means) in enumerate(methods):
-        offset = (index - (len(methods) - 1) / 2) * step
-        look = look_of_factor(index, None, theme) | {"label": short(name), "markersize": 5}
-        shown = [(place + offset, mean) for place, mean in enumerate(means) if math.isfinite(mean[0])]
-        for place, (_, low, high) in shown:
-            if math.isfinite(low) and math.isfinite(high):
-                axes.plot([low, high], [place, place], color=theme.ink, linewidth=1.4)
-        axes.plot([mean for _, (mean, _, _) in shown], [place for place, _ in shown], linestyle="none", **look)
+    look = look_of_factor(0, None, theme) | {"markersize": 5}
+    shown = [(place, mean) for place, mean in enumerate(means) if math.isfinite(mean[0])]
+    for place, (_, low, high) in shown:
+        if math.isfinite(low) and math.isfinite(high):
+            axes.plot([low, high], [place, place], color=theme.ink, linewidth=1.4)
+    axes.plot([mean for _, (mean, _, _) in shown], [place for place, _ in shown], linestyle="none", **look)
     axes.yaxis.set_major_locator(FixedLocator(list(range(len(groups)))))
     axes.set_yticklabels([short(name.replace(" x", " ×")) for name in groups], parse_math=False)
     axes.set_ylim(len(groups) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")
-    if len(methods) > 1:
-        legend_above(axes)

@@ -61,12 +61,7 @@ def calibration_page(calibration: Calibration) -> str:
         widened=_list_symbols("wider", isos),
         remarks=_sort_remarks(calibration),
         tables=[
-            {
-                "name": name,
-                "caption": _CAPTIONS[name],
-                "header": _FIT_HEADER if name == "fits" else header,
-                "rows": rows,
-            }
+            (name, _CAPTIONS[name], _FIT_HEADER if name == "fits" else header, rows)
             for name, (header, rows) in calibration.tables().items()
         ],
         joint=joint_plots(calibration),

@@ -319,7 +319,7 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
     def draw_groups(axes: Axes, theme: Theme) -> None:
         """Draw each group's mean difference of PSNR, with its interval."""
         means = [group.gains[index]["psnr_db"].interval.ends for group in groups]
-        mean_gains(axes, [group.name for group in groups], [(other, means)], theme)
+        mean_gains(axes, [group.name for group in groups], means, theme)
         axes.set_xlabel("difference of PSNR [dB]")
 
     def draw_both(axes: Axes, theme: Theme) -> None:

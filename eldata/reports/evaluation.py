@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator
 
 from eldata.base.files import write_text
 from eldata.base.numbers import counted
@@ -23,7 +23,7 @@ from eldata.evaluation.looking import (
     worst_and_best_images,
 )
 from eldata.evaluation.scores import factor_text, short_digest
-from eldata.plots.axes import number
+from eldata.plots.axes import number, set_ticks
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, strips
 from eldata.protocols.words import FIELDS, in_words
@@ -31,7 +31,7 @@ from eldata.reports.html import digits, draw_plot, render_with_script, signed
 from eldata.reports.pictures import show_images
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.axes import Axes
 
@@ -196,12 +196,8 @@ def table_with_intervals(result: EvaluationResult) -> Table:
     names = [counted, "scenes", *(name for head in heads for name in (head, INTERVAL))]
     paper = result.lay_out(names, texts, "×")
     rules = tuple(range(2, len(names), 2)) if paper.transposed else paper.rules
-    return Table(paper.header, _make_cells(paper.rows), rules=rules)
-
-
-def _make_cells(rows: Iterable[tuple[str, ...]]) -> tuple[tuple[Cell, ...], ...]:
-    """Make table cells of rows of text, with a dash for "-"."""
-    return tuple(tuple(Cell("–" if text == "-" else text) for text in row) for row in rows)
+    cells_of_rows = (tuple(Cell("–" if text == "-" else text) for text in row) for row in paper.rows)
+    return Table(paper.header, tuple(cells_of_rows), rules=rules)
 
 
 def _format_interval(interval: Interval, metric: Figure) -> str:
@@ -376,13 +372,11 @@ def _set_up_factors(axes: Axes, factors: Sequence[float], *, horizontal: bool = 
     low, high = low / 1.05, high * 1.05
     (axes.set_xscale if horizontal else axes.set_yscale)("log", base=2)
     (axes.set_xlim if horizontal else axes.set_ylim)(low, high)
-    axis = axes.xaxis if horizontal else axes.yaxis
     doublings = math.log2(high / low)
     ticks = [0.7, 0.8, 0.9, 1, 1.1, 1.25, 1.4] if doublings < 1.3 else [0.5, 0.7, 1, 1.4, 2]
     if doublings > 2.5:
         step = max(1, math.ceil(doublings / 7))
         exponents = np.arange(math.ceil(math.log2(low) / step), math.floor(math.log2(high) / step) + 1) * step
         ticks = [float(2.0**exponent) for exponent in exponents]
-    axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _position: number(float(f"{value:.3g}"))))
+    places = FixedLocator([tick for tick in ticks if low <= tick <= high])
+    set_ticks(axes.xaxis if horizontal else axes.yaxis, places, lambda value, _: number(float(f"{value:.3g}")))

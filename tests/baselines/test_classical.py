@@ -18,12 +18,12 @@ from eldata.baselines.classical import (
     SignalNoise,
     apply_anscombe,
     invert_anscombe,
-    noise_of_image,
     noise_of_parameters,
     noise_of_patches,
     threshold_dct,
 )
 from eldata.baselines.noise_line import noise_line
+from eldata.baselines.noisy_frames import estimate_line
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.errors import ArgumentError, DatasetError
@@ -151,7 +151,7 @@ def test_the_line_of_a_scene_is_that_of_its_noise(gain: float, sigma: float, num
     scene = scene_radiance(number, *LINE_SIZE)[1]
     signal = np.stack([scene[y::2, x::2] for y in (0, 1) for x in (0, 1)]) / scene.max()
     shot = gain * generator.poisson(signal / gain) if gain else signal
-    line = noise_of_image((shot + sigma * generator.standard_normal(signal.shape)).astype(np.float32))
+    line = estimate_line((shot + sigma * generator.standard_normal(signal.shape)).astype(np.float32))
     for level in (0.02, 0.1, 0.5):
         assert line.variance(np.array(level)) == pytest.approx(gain * level + sigma**2, rel=within)
 

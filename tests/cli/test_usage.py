@@ -53,6 +53,14 @@ def test_help_is_a_word_as_well_as_an_option(eldata: Cli) -> None:
     assert_one_line(eldata("help", "verfy"), "did you mean verify?")
 
 
+def test_the_common_options_of_evaluate_fill_thirty_lines(eldata: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    common, rare = eldata("evaluate", "--help").out.split("\nless common options:\n")
+    assert common.count("\n") <= 30
+    assert all(f"  {name} " in common for name in ("PREDS", "--dataset", "--protocol", "--root", "--html", "--json"))
+    assert all(f"  {name} " in rare for name in ("--subset", "--allow-suspect", "--task", "--compare"))
+
+
 # --- wrong usage ----------------------------------------------------------------------------------------------
 
 

@@ -120,9 +120,7 @@ def test_flats_without_a_line_cost_k_alone(eldata: Cli, tree: FrameTree, tmp_pat
     assert [(row.iso, row.gain_dn_per_e is None) for row in rows] == [(100, False), (400, True), (1600, False)]
 
 
-def test_saturated_flats_are_counted_and_their_channel_is_named(
-    eldata: Cli, tree: FrameTree, tmp_path: Path
-) -> None:
+def test_saturated_flats_are_counted_and_their_channel_is_named(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
     noise = np.random.default_rng(0)
     for path in (path for iso in ISOS for path in tree.files("flat", iso)):
         rewritten(path, mosaic=lambda mosaic: noise.integers(16300, 16384, mosaic.shape, np.uint16))

@@ -158,7 +158,7 @@ _SIZES = ("size_bytes", "width", "height")
 
 
 def _format_problems(problems: Sequence[Problem]) -> list[str]:
-    """Format problems in their order; many files of wrong sizes, or whose setting is off by the same factor, are one."""
+    """Format problems in their order; many files of wrong sizes, or off by one factor, are one."""
     groups: dict[object, list[Problem]] = {}
     for problem in problems:
         percent = _percent_of_expected(problem)

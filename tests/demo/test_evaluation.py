@@ -57,11 +57,12 @@ def test_what_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     run_demo(folder, scenes=2)
     out = capsys.readouterr().out
     commands = [shlex.split(line)[1:] for line in out.splitlines() if line.startswith("$ ")]  # to be pasted
-    assert [command[1] for command in commands] == ["verify", *["baseline"] * 2, *["evaluate"] * 3]
-    for command in commands:
+    assert [command[1] for command in commands] == ["verify", *["baseline"] * 2, *["evaluate"] * 4, "compare", "demo"]
+    for command in commands[:-2]:
         assert parser().parse_args(command[1:]).root == str(folder / "data")
     for words in ("64 raw files", "all well", "eldata verify", "eldata evaluate", "24 of 24", "contact-sheet.png"):
         assert words in out
+    assert out.count("note: the files of DemoBeta saturate at 15303 DN") == 1
     with Image.open(folder / "contact-sheet.png") as image:
         assert image.size == (4 * (48 + 16) + 16, 2 * (32 + 26 + 16) + 16)  # with margins, and captions of 26 rows
 

@@ -91,8 +91,8 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0, beside: str = "dct
             raise EldataError("the demo's own files could not be denoised")
     results: dict[str, EvaluationResult] = {}
     for name, what in methods.items():
-        place, told = None if name == INPUT else predictions / name, results.values()
-        results[name] = score_method(folder, name, what, place, [note for result in told for note in result.notes])
+        told = [note for result in results.values() for note in result.notes]
+        results[name] = score_method(folder, name, what, None if name == INPUT else predictions / name, told)
 
     sheet = folder / "contact-sheet.png"
     _draw_sheet(sheet, manifest.folder(root), predictions, results)

@@ -6,10 +6,10 @@ found, what to do. The command line prints it as one line; a traceback shows onl
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Callable, Collection, Iterable
     from pathlib import Path
 
 
@@ -19,6 +19,21 @@ class EldataError(Exception):
 
 class ArgumentError(EldataError, ValueError):
     """An argument is not one that the function accepts."""
+
+
+def name_missing_torch(load: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Make a package's lazy ``__getattr__`` say how to install torch, if a name needs it."""
+
+    def load_or_explain(name: str) -> Any:
+        try:
+            return load(name)
+        except ModuleNotFoundError as error:
+            if error.name != "torch":
+                raise
+            text = f"{name} needs torch, which is not installed: pip install torch"
+            raise ModuleNotFoundError(text, name="torch") from None
+
+    return load_or_explain
 
 
 def check_choice(name: str, value: object, known: Collection[object]) -> None:

@@ -162,7 +162,7 @@ def add_shared(
     if "root" in options:
         parser.add_argument("--root", metavar="R", help="datasets' folder (default: $ELDATA_ROOT, else ./data)")
     if json:
-        add_output(parser, "--json", help="write what is shown to FILE, machine-readable; -: to standard output")
+        add_output(parser, "--json", help="write what is shown as JSON; -: to standard output")
     if "jobs" in options or "workers" in options:
         text = "files to work on at a time (default: one per CPU)"
         where = parser.add_mutually_exclusive_group()

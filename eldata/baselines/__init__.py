@@ -2,4 +2,7 @@
 
 import lazy_loader
 
+from eldata.errors import name_missing_torch
+
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__ = name_missing_torch(__getattr__)

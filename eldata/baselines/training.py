@@ -301,8 +301,10 @@ class Training:
             distributed.barrier()  # a rank that goes on alone could end the others before it is written
         self.saved = self.step
 
-    def load(self, path: Path | str) -> None:
+    def load(self, path: Path | str, *, any_steps: bool = False) -> None:
         """Take up a checkpoint: weights, optimiser, schedule, scaler, random numbers, and the place in the epoch.
+
+        ``any_steps``: it may be of a training of other length, whose weights are wanted.
 
         Raises
         ------
@@ -317,7 +319,13 @@ class Training:
             begun, own = state["settings"], state["ranks"]
         except Exception as error:  # torch raises what its parts raise
             raise FileError(path, f"is not a checkpoint of a training: {type(error).__name__}") from error
-        check_same_work(path, begun, self.settings)
+        check_same_work(path, begun, self.settings | {"steps": begun.get("steps")})
+        if begun["steps"] != self.steps and not any_steps:
+            epochs, now = (steps / len(self.loader) for steps in (begun["steps"], self.steps))
+            raise ArgumentError(
+                f"{path}: was started for {epochs:g} epochs ({begun['steps']} steps), now {now:g}; give --epochs "
+                f"{epochs:g}, or --finish to keep what is trained"
+            )
         self.step = self.saved = state["step"]
         self.network.load_state_dict(state["network"])
         self.optimiser.load_state_dict(state["optimiser"])

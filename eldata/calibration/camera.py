@@ -251,7 +251,10 @@ def join_isos(
     fitted, problem = fit_modes(isos, modes, remarks)
     black, white = _find_common_levels(everything, remarks)
     bias, flat = sum(record.bias_frames for record in isos), sum(record.flat_frames for record in everything)
-    source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {counted(len(everything), 'ISO')}"
+    frames = f"{bias} bias and {flat} flat frames"
+    if flat and not any(record.transfer for record in everything):
+        frames = f"{bias} bias frames, {flat} flats of which none could be used,"
+    source = f"eldata {__version__} calibrate: {frames} at {counted(len(everything), 'ISO')}"
     if stated := sum(record.gain is not None and record.gain.is_stated for record in isos):
         source += f", K stated at {stated} of them"
     calibration = Calibration(

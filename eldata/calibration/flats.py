@@ -20,6 +20,7 @@ import numpy as np
 from eldata.base.numbers import counted
 from eldata.calibration.sums import FrameSums, channel_histograms, segment_sums
 from eldata.errors import ArgumentError, DatasetError
+from eldata.raw.levels import BAYER_CHANNELS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -324,6 +325,11 @@ def _pool_medians(freedom: Values, variance: Values, signal: Values) -> list[tup
     return points
 
 
+def channel_names(count: int) -> tuple[str, ...]:
+    """Name the channels of a CFA of so many."""
+    return BAYER_CHANNELS if count == len(BAYER_CHANNELS) else ("R", "G", "B")
+
+
 def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     """Estimate K by weighted least squares of the temporal variance over the mean (equation "photon-transfer").
 
@@ -347,7 +353,8 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     if flats.frames == 0:
         raise DatasetError("no flat frames were given: take pairs of equal flats at several exposures")
     lines = tuple(
-        _weighted_line(*flats.points(channel), *flats.scatter(channel), channel) for channel in range(flats.channels)
+        _weighted_line(*flats.points(channel), *flats.scatter(channel), name)
+        for channel, name in enumerate(channel_names(flats.channels))
     )
     correlation, error = flats.correlation
     medians = tuple(map(flats.medians, range(flats.channels)))
@@ -356,12 +363,12 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
 
 
 def _weighted_line(
-    signal: Values, variance: Values, freedom: Values, scatter: Values, segments: Counts, channel: int
+    signal: Values, variance: Values, freedom: Values, scatter: Values, segments: Counts, channel: str
 ) -> PhotonTransferLine:
     """Fit the line of one channel, weighted as :func:`photon_transfer` says."""
     if len(signal) < 2 or not np.ptp(signal) > 0:
         raise DatasetError(
-            f"channel {channel} has {counted(len(signal), 'usable level')} and a line needs two: the flats are "
+            f"{channel} has {counted(len(signal), 'usable level')} and a line needs two: the flats are "
             "saturated, clipped or all of one brightness. Take pairs at four exposures or more, from a tenth to nine "
             "tenths of the range"
         )
@@ -378,7 +385,7 @@ def _weighted_line(
             break
     if not gain > 0:
         raise DatasetError(
-            f"the variance of channel {channel} does not grow with its signal (slope {gain:.3g}): take pairs at four "
+            f"the variance of {channel} does not grow with its signal (slope {gain:.3g}): take pairs at four "
             "exposures or more, from a tenth to nine tenths of the range"
         )
     # Heavy tails of the read noise scatter more. They are left out of the weights: a level whose variance came out high
@@ -410,17 +417,17 @@ def spatial_photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     DatasetError
         If a channel has fewer than three usable frames.
     """
-    lines = tuple(_fit_plain_line(points, channel) for channel, points in enumerate(flats.single_frames))
+    lines = tuple(map(_fit_plain_line, flats.single_frames, channel_names(flats.channels)))
     left_out = 1 - sum(map(len, flats.single_frames)) / (flats.frames * flats.channels)
     return _join_lines(lines, flats.frames, left_out)
 
 
-def _fit_plain_line(points: Sequence[tuple[float, float]], channel: int) -> PhotonTransferLine:
+def _fit_plain_line(points: Sequence[tuple[float, float]], channel: str) -> PhotonTransferLine:
     """Fit a line to (signal, variance) of single frames of one channel, all of equal weight."""
     signal, variance = np.array(points, dtype=np.float64).reshape(-1, 2).T
     if len(signal) < 3 or not np.ptp(signal) > 0:
         raise DatasetError(
-            f"channel {channel} has {counted(len(signal), 'usable flat frame')} and the spatial method needs three of "
+            f"{channel} has {counted(len(signal), 'usable flat frame')} and the spatial method needs three of "
             "different brightness: take flats at four exposures or more, from a tenth to nine tenths of the range"
         )
     even = np.ones(len(signal))

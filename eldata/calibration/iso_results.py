@@ -16,6 +16,7 @@ import numpy as np
 
 from eldata.base.fields import shipped_toml
 from eldata.base.tables import with_error
+from eldata.calibration.flats import channel_names
 from eldata.calibration.frames import FramesError
 from eldata.errors import ArgumentError, did_you_mean
 
@@ -296,7 +297,7 @@ class IsoGain:
     sensor
         As the frames state it: CFA, size, black and white levels.
     flat_frames
-        How many went into the estimates.
+        How many of its pairs were summed up; without ``transfer`` none of them could be used.
     transfer
         Photon transfer from pairs of flats; ``None`` without flats of this ISO, or where no line can be found.
     spatial
@@ -324,7 +325,7 @@ class IsoGain:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the CFA's channels."""
-        return ("R", "G1", "B", "G2") if len(self.sensor.black_level_dn) == 4 else ("R", "G", "B")
+        return channel_names(len(self.sensor.black_level_dn))
 
     @property
     def withheld(self) -> frozenset[Quantity]:

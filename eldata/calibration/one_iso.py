@@ -262,7 +262,7 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
         transfer = photon_transfer(flats)
     except DatasetError as error:
         text = f"{error}; pairs used: {', '.join(used)}"
-        return make_record(*of_saturation, TRANSFER.withhold(math.nan, math.nan, text))
+        return make_record(*of_saturation, TRANSFER.withhold(math.nan, math.nan, text), flat_frames=flats.frames)
     of_line, spatial = (*checks.find_flat_correlation(transfer), *checks.find_bent_line(transfer)), None
     if all(finding.check != NO_LINE.name for finding in of_line):  # of a scene, a frame's variance is the scene's own
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone

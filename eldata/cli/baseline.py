@@ -45,7 +45,7 @@ def add_set(parser: argparse.ArgumentParser) -> None:
     which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own")
 
 
-def add_pairs(parser: argparse.ArgumentParser) -> None:
+def add_pairs(parser: argparse._ActionsContainer) -> None:
     """Add the options that choose pairs or clips of a set."""
     parser.add_argument("--subset", metavar="NAME", help="subset on the set's card (default: the first)")
     parser.add_argument("--clip", action="append", dest="ids", metavar="ID", help="only this clip; may be repeated")

@@ -40,25 +40,26 @@ def add_options(parser: console.Parser) -> None:
     add_set(parser)
     text = "name in eldata protocols, or a TOML file (default: the set's own; raw for your own set)"
     parser.add_argument("--protocol", metavar="P", help=text)
-    add_pairs(parser)
-    text = "leave out pairs with this flag; may be repeated"
-    parser.add_argument("--exclude", action="append", default=[], dest="exclude_flags", metavar="FLAG", help=text)
-    text = "score by this function of (prediction, reference), too"
-    parser.add_argument("--task", metavar="MODULE:NAME", help=text)
-    parser.add_argument("--dark-shading", metavar="FILE", help="dark shading subtracted from the inputs")
     console.add_cameras(parser)
-    parser.add_argument("--allow-missing", action="store_true", help="score the rest if files are missing")
-    parser.add_argument("--strict", action="store_true", help="refuse predictions that show a mistake")
-    text = "exit with 0 although predictions show a mistake"
-    parser.add_argument("--allow-suspect", action="store_true", help=text)
-    add_output(parser, "--csv", help="write the score of each image to FILE; -: to standard output")
-    parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the table (default: text)")
+    add_output(parser, "--csv", help="write each image's score; -: to standard output")
     add_output(parser, "--html", help="write a page with plots and pictures to FILE")
+    rare = parser.add_argument_group("less common options")
+    add_pairs(rare)
+    text = "leave out pairs with this flag; may be repeated"
+    rare.add_argument("--exclude", action="append", default=[], dest="exclude_flags", metavar="FLAG", help=text)
+    text = "score by this function of (prediction, reference), too"
+    rare.add_argument("--task", metavar="MODULE:NAME", help=text)
+    rare.add_argument("--dark-shading", metavar="FILE", help="dark shading subtracted from the inputs")
+    rare.add_argument("--allow-missing", action="store_true", help="score the rest if files are missing")
+    rare.add_argument("--strict", action="store_true", help="refuse predictions that show a mistake")
+    text = "exit with 0 although predictions show a mistake"
+    rare.add_argument("--allow-suspect", action="store_true", help=text)
+    rare.add_argument("--format", choices=FORMATS, default="text", help="how to print the table (default: text)")
     text = "write JSON, CSV and the methods' comparison here"
-    parser.add_argument("-o", "--output", metavar="FOLDER", help=text)
+    rare.add_argument("-o", "--output", metavar="FOLDER", help=text)
     text = "a method's name; once per folder, in their order"
-    parser.add_argument("--name", action="append", default=[], dest="names", metavar="NAME", help=text)
-    parser.add_argument("--compare", action="store_true", help="show published numbers beside the result")
+    rare.add_argument("--name", action="append", default=[], dest="names", metavar="NAME", help=text)
+    rare.add_argument("--compare", action="store_true", help="show published numbers beside the result")
     console.add_shared(parser, run, "root", "workers", json=True)
 
 

@@ -30,7 +30,12 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
-    return run(parser(), argv)
+    try:
+        program = parser()
+    except KeyboardInterrupt:  # while the commands are imported
+        print("eldata: interrupted; nothing was begun", file=sys.stderr)
+        return 130
+    return run(program, argv)
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from eldata.protocols.protocol import Amplification
     from eldata.raw.levels import Clip, FrameLevels
     from eldata.records import PairRecord
-    from eldata.sources.frames import Frame, FrameSource
+    from eldata.sources.frames import FileCheck, Frame, FrameSource
     from eldata.sources.pairs import OpenedPair
 
 SIDES = ("input", "target")
@@ -209,12 +209,14 @@ class PairDataset(SourcePairs):
         A callable that gets a whole sample, a dict, after crop and noise, and returns it, or what you make of it. It is
         called in workers, which it must be sent to: a function at the top of a module, or a module of torchvision's v2.
         Plots show samples without it.
+    check
+        ``"exists"``: that every chosen file is there, as the dataset is made; ``"never"``: ``records``, ``frame`` and
+        the length need no files.
 
     Raises
     ------
     DatasetError
-        Of an item, if the folder, or that of its camera, is not there: ``records``, ``frame`` and the length need no
-        files.
+        If a chosen file, its camera's folder or the set's is not there; of an item, if ``check`` is ``"never"``.
     ArgumentError
         If a value is unknown (the message lists the known ones) or out of its range.
     ManifestError
@@ -238,13 +240,14 @@ class PairDataset(SourcePairs):
         levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0, transform: Transform | None = None,
+        seed: int = 0, transform: Transform | None = None, check: FileCheck = "exists",
     ) -> None:  # fmt: skip
-        options = keywords_of(locals(), "root", "manifest")
+        options = keywords_of(locals(), "root", "manifest", "check")
         loaded = find_manifest(manifest)
         self.root = loaded.own_folder(root)
         records = take_choice(options).pairs(loaded.records, loaded.card.subsets)
         files = Files(FrameFiles.of(self.root, loaded.card, loaded.records), loaded.records, loaded.card)
+        files.require(records, check)
         options["levels"] = levels or default_protocol(loaded.card).frame_levels
         super().__init__(files, records, name=loaded.name, **options)
         self._place = str(self.root)

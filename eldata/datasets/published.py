@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from eldata.protocols.protocol import Amplification
     from eldata.raw.levels import Clip, FrameLevels
     from eldata.records import FrameRecord, PairRecord
+    from eldata.sources.frames import FileCheck
 
 
 class ELDDataset(PairDataset):
@@ -80,7 +81,7 @@ class ELDDataset(PairDataset):
         levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0, transform: Transform | None = None,
+        seed: int = 0, transform: Transform | None = None, check: FileCheck = "exists",
     ) -> None:  # fmt: skip
         super().__init__(**keywords_of(locals()))
 
@@ -152,7 +153,7 @@ class SIDDataset(PairDataset):
         levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "nominal",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0, transform: Transform | None = None,
+        seed: int = 0, transform: Transform | None = None, check: FileCheck = "exists",
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "camera")
         check_choice("camera", camera, _SID_MANIFESTS)
@@ -201,7 +202,7 @@ class LRDDataset(PairDataset):
         levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "nominal",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0, transform: Transform | None = None,
+        seed: int = 0, transform: Transform | None = None, check: FileCheck = "exists",
     ) -> None:  # fmt: skip
         super().__init__(**keywords_of(locals()))
 
@@ -242,7 +243,7 @@ class LRIDDataset(PairDataset):
         levels: FrameLevels | None = None, clip: Clip = "none", amplification: Amplification = "nominal",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0, transform: Transform | None = None,
+        seed: int = 0, transform: Transform | None = None, check: FileCheck = "exists",
     ) -> None:  # fmt: skip
         super().__init__(**keywords_of(locals()))
 
@@ -284,7 +285,7 @@ class SIDDDataset(PairDataset):
         levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
-        seed: int = 0, transform: Transform | None = None,
+        seed: int = 0, transform: Transform | None = None, check: FileCheck = "exists",
     ) -> None:  # fmt: skip
         if manifest is None:
             manifest = "sidd-blocks" if subset in ("validation", "benchmark") else "sidd"
@@ -329,6 +330,8 @@ class DRVDataset(ClipWindows):
     ids, window, stride, frames, region, crops_per_window, cameras, scenes, isos, ratios, subset, exclude_flags, \
     levels, clip, amplification, dark_shading, crop, augment, crops, seed, transform
         As for :class:`~eldata.datasets.clips.ClipWindows`.
+    check
+        As for :class:`~eldata.datasets.base.PairDataset`.
 
     Raises
     ------
@@ -367,8 +370,9 @@ class DRVDataset(ClipWindows):
         levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
         dark_shading: DarkShading | Path | str | None = None, transform: Transform | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
+        check: FileCheck = "exists",
     ) -> None:  # fmt: skip
-        options = keywords_of(locals(), "root", "form", "manifest", "reference")
+        options = keywords_of(locals(), "root", "form", "manifest", "reference", "check")
         check_choice("form", form, get_args(Form))
         published = shipped_manifest("drv")
         folder = published.own_folder(root)
@@ -382,6 +386,7 @@ class DRVDataset(ClipWindows):
         rows = [row for row in listed.records if (row.split == DYNAMIC) == dynamic]
         files = Files(FrameFiles.of(folder, listed.card, rows), rows)
         super().__init__(files, rows, listed.card.subsets, folder, **options)
+        files.require(self.records, check)
 
 
 SHOTS = range(10)
@@ -412,13 +417,15 @@ class CRVDDataset(ClipWindows):
     ids, window, stride, frames, region, crops_per_window, cameras, scenes, isos, ratios, split, subset, \
     exclude_flags, levels, clip, amplification, dark_shading, crop, augment, crops, seed, transform
         As for :class:`~eldata.datasets.clips.ClipWindows`; the choice is of frames.
+    check
+        As for :class:`~eldata.datasets.base.PairDataset`.
 
     Raises
     ------
     ArgumentError
         If a value is unknown (the message lists the known ones) or out of its range.
     DatasetError
-        Of an item, if the folder is not there: ``records`` need no files.
+        If a chosen file or the folder is not there; of an item, if ``check`` is ``"never"``.
 
     References
     ----------
@@ -447,13 +454,15 @@ class CRVDDataset(ClipWindows):
         levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
         dark_shading: DarkShading | Path | str | None = None, transform: Transform | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
+        check: FileCheck = "exists",
     ) -> None:  # fmt: skip
-        options = keywords_of(locals(), "root", "shots", "manifest")
+        options = keywords_of(locals(), "root", "shots", "manifest", "check")
         listed = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)
         folder = listed.own_folder(root)
         rows = _list_moments(listed, take_choice(options).pairs(listed.records, listed.card.subsets), shots)
         files = Files(FrameFiles.of(folder, listed.card, rows), rows, listed.card)
         super().__init__(files, rows, (), folder, **options)
+        files.require(self.records, check)
 
 
 def _list_moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collection[int]) -> list[FrameRecord]:

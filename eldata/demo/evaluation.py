@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +29,7 @@ from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -88,9 +89,10 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0, beside: str = "dct
         print(report.format_text())
         if report.problems:
             raise EldataError("the demo's own files could not be denoised")
-    results = {}
+    results: dict[str, EvaluationResult] = {}
     for name, what in methods.items():
-        results[name] = score_method(folder, name, what, None if name == INPUT else predictions / name)
+        told = [note for result in results.values() for note in result.notes]
+        results[name] = score_method(folder, name, what, None if name == INPUT else predictions / name, told)
 
     sheet = folder / "contact-sheet.png"
     _draw_sheet(sheet, manifest.folder(root), predictions, results)
@@ -102,7 +104,9 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0, beside: str = "dct
     return results
 
 
-def score_method(folder: Path, name: str, what: str, place: Path | None) -> EvaluationResult:
+def score_method(
+    folder: Path, name: str, what: str, place: Path | None, told: Collection[str] = ()
+) -> EvaluationResult:
     """Score predictions of a demo's set, or with no place its input; print command and table, write ``<name>.csv``.
 
     Parameters
@@ -113,13 +117,15 @@ def score_method(folder: Path, name: str, what: str, place: Path | None) -> Eval
         The method's, and a line that says what it is.
     place
         Folder of the predictions.
+    told
+        Notes that are not printed again.
     """
     manifest, root = folder / "manifests" / "eld-demo.csv", folder / "data"
     print(f"\n{name}: {what}")
     scored = "--baseline input" if place is None else shlex.quote(str(place))
     print(f"$ eldata evaluate {scored} --manifest {shlex.quote(str(manifest))} --root {shlex.quote(str(root))}")
     result = evaluate(place, manifest=manifest, root=root, baseline="input" if place is None else None)
-    print(result.format_text())
+    print(replace(result, notes=tuple(note for note in result.notes if note not in told)).format_text())
     result.write_csv(folder / f"{name}.csv")
     result.write_json(folder / f"{name}.json")
     return result

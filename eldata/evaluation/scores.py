@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from eldata.base.visible import in_line
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clips import ClipRecord
-from eldata.manifest.verify_report import FIGURE
+from eldata.manifest.verify_report import FIGURE, span_figures
 from eldata.records import PairRecord
 
 if TYPE_CHECKING:
@@ -304,14 +304,6 @@ def cameras_in_order(cameras: Iterable[str], dataset: str) -> list[str]:
 _LINES_SHOWN, _NAMES_SHOWN = 20, 6
 
 
-def _span_figures(reasons: Sequence[str]) -> str:
-    """Return texts that differ only in figures as one, with the lowest and highest of each figure."""
-    columns = zip(*([figure[0] for figure in FIGURE.finditer(reason)] for reason in reasons), strict=True)
-    ends = [(min(column, key=float), max(column, key=float)) for column in columns]
-    spans = iter(low if float(low) == float(high) else f"{low}..{high}" for low, high in ends)
-    return FIGURE.sub(lambda _: next(spans), reasons[0])
-
-
 def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
     """Return problems as lines of text, the first of many; those that differ only in figures stand together."""
     alike: dict[str, list[EvaluationProblem]] = {}
@@ -320,7 +312,7 @@ def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
     lines: list[str] = []
     shown = 0
     for members in alike.values():
-        paths, reason = [problem.path for problem in members], _span_figures([problem.reason for problem in members])
+        paths, reason = [problem.path for problem in members], span_figures([problem.reason for problem in members])
         if len(lines) >= _LINES_SHOWN:
             return [*lines, f"... and {len(problems) - shown} more (--json FILE lists all)"]
         if len(paths) == 1:

@@ -107,12 +107,15 @@ def train(
             **settings,
         },
     )
+    checkpoint = options.output / "checkpoint.pt"
+    if options.finish:
+        return training.load(checkpoint, any_steps=True)
     is_first = not distributed.is_initialized() or distributed.get_rank() == 0
     if is_first:
         curve = open_curves(options.output)
         print(data, describe(loader), f"{sum(map(torch.numel, network.parameters())):,} parameters", sep="\n")
     try:
-        for report in training.epochs(options.output / "checkpoint.pt", save_every=SAVE_EVERY):
+        for report in training.epochs(checkpoint, save_every=SAVE_EVERY):
             shown = {"loss": report.loss, **more(report, training.steps)}
             if is_first:
                 print(report, *(f"{name} {shown[name]:.4f}" for name in ("psnr_db", "ssim") if name in shown), sep=", ")
@@ -121,7 +124,8 @@ def train(
     finally:
         if training.saved:
             there = f"{training.saved} of {training.steps} steps ({training.saved / len(loader):.4g} epochs) are saved"
-            options.interrupted = f"{there} in {{output}}/checkpoint.pt, and the same command goes on from there"
+            options.interrupted = f"{there} in {{output}}/checkpoint.pt, and the same command goes on from there; "
+            options.interrupted += "with --finish it makes model.pt2 of them"
 
 
 def save_and_show(options: argparse.Namespace, network: torch.nn.Module, channels: int, chosen: Sequence[str]) -> int:
@@ -347,6 +351,8 @@ def add_training_options(parser: argparse.ArgumentParser, data: argparse._Argume
     data.add_argument("--crop", type=int, default=512, metavar="PX", help=f"side in packed pixels {default}")
     how = parser.add_argument_group("training")
     how.add_argument("--epochs", type=int, default=200, metavar="N", help=f"the schedule is scaled to them {default}")
+    text = "train no further: make model.pt2 of what checkpoint.pt has"
+    how.add_argument("--finish", action="store_true", help=text)
     how.add_argument("--batch-size", type=int, default=1, metavar="N", help=f"per process {default}")
     how.add_argument("--learning-rate", type=float, default=1e-4, metavar="RATE", help=f"of Adam, at first {default}")
     how.add_argument("--width", type=int, default=32, metavar="N", help=f"channels of the first level {default}")

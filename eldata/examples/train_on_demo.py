@@ -67,7 +67,8 @@ def train_on_demo(
     print(report.format_text())
     if report.problems:
         raise EldataError("the trained network could not be run over the demo's files")
-    trained = score_method(folder, TRAINED, f"the network that scenes {first} to {last} have trained", predictions)
+    what, told = f"the network that scenes {first} to {last} have trained", results[INPUT].notes
+    trained = score_method(folder, TRAINED, what, predictions, told)
     for name, result in (*results.items(), (TRAINED, trained)):
         print(f"{name:<10} {result.psnr_db:6.2f} dB  SSIM {result.ssim:.3f}")
     gain_db = trained.psnr_db - results[INPUT].psnr_db

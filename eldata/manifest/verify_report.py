@@ -81,6 +81,14 @@ FIGURE = re.compile(r"(?<!\w)-?[0-9]+(\.[0-9]+)?(e[+-][0-9]+)?")
 """A figure in a text: texts that differ in nothing else are alike."""
 
 
+def span_figures(texts: Sequence[str]) -> str:
+    """Return texts that differ only in figures as one, with the lowest and highest of each figure."""
+    columns = zip(*([figure[0] for figure in FIGURE.finditer(text)] for text in texts), strict=True)
+    ends = [(min(column, key=float), max(column, key=float)) for column in columns]
+    spans = iter(low if float(low) == float(high) else f"{low}..{high}" for low, high in ends)
+    return FIGURE.sub(lambda _: next(spans), texts[0])
+
+
 @dataclass(frozen=True, slots=True)
 class DatasetReport:
     """The report on one dataset. ``absent``: its folder is missing, and nothing was checked."""
@@ -145,15 +153,17 @@ class VerifyReport:
         return "\n".join(lines)
 
 
-_MANY = 8  # files with the same wrong setting are one problem in the text
+_MANY = 8  # files with the same wrong setting, or of wrong sizes, are one problem in the text
+_SIZES = ("size_bytes", "width", "height")
 
 
 def _format_problems(problems: Sequence[Problem]) -> list[str]:
-    """Format problems in their order; many files whose setting is off by the same factor are one."""
+    """Format problems in their order; many files of wrong sizes, or off by one factor, are one."""
     groups: dict[object, list[Problem]] = {}
     for problem in problems:
         percent = _percent_of_expected(problem)
-        key = problem if percent is None else (problem.dataset, problem.field, problem.advice, percent)
+        kind = FIGURE.sub("0", problem.expected) if problem.field in _SIZES else problem.path
+        key = problem.dataset, problem.field, problem.advice, kind if percent is None else percent
         groups.setdefault(key, []).append(problem)
     texts: dict[Problem, str] = {}
     for alike in groups.values():
@@ -161,10 +171,11 @@ def _format_problems(problems: Sequence[Problem]) -> list[str]:
         if len(alike) >= _MANY:
             first = alike[0]
             many = f"{first.path} and {len(alike) - 1} others alike"
-            share = (
-                f"{first.found} there; in all {len(alike)} files {_percent_of_expected(first)} % of what is expected"
-            )
-            texts |= dict.fromkeys(alike, "") | {first: replace(first, path=many, found=share).format_text()}
+            spans = {name: span_figures([getattr(each, name) for each in alike]) for name in ("expected", "found")}
+            if (percent := _percent_of_expected(first)) is not None:
+                share = f"{first.found} there; in all {len(alike)} files {percent} % of what is expected"
+                spans = {"expected": first.expected, "found": share}
+            texts |= dict.fromkeys(alike, "") | {first: replace(first, path=many, **spans).format_text()}
     return [texts[problem] for problem in problems if texts[problem]]
 
 

@@ -29,7 +29,7 @@ RAW_EXTENSIONS = frozenset((
 ))  # fmt: skip
 
 # Rendered pictures that cameras and phones write instead of a raw file, or with it.
-PICTURES = frozenset((".jpg", ".jpeg", ".heic", ".heif", ".hif", ".webp", ".avif"))
+PICTURES = frozenset((".jpg", ".jpeg", ".png", ".heic", ".heif", ".hif", ".webp", ".avif"))
 
 
 def raws_below(folder: Path) -> list[Path]:
@@ -102,9 +102,12 @@ def no_raws(folder: Path, names: Iterable[str]) -> DatasetError:
     (suffix, count), *_ = suffixes.most_common(1) or [("", 0)]
     counted = f", but {count} {suffix or 'without extension'}" if count else ", and nothing else"
     if suffix in PICTURES:
+        pictures = {name: n for name, n in suffixes.items() if name in PICTURES}
+        count = sum(pictures.values())
         counted = (
-            f", but {count} picture{'s' if count > 1 else ''} ({suffix}), which the camera or a phone has rendered and "
-            "which are no longer linear: use the raw files that it writes beside them (DNG, ARW, CR3, NEF and the like)"
+            f", but {count} picture{'s' if count > 1 else ''} ({', '.join(pictures)}), which the camera or a phone has "
+            "rendered and which are no longer linear: use the raw files that it writes beside them (DNG, ARW, CR3, NEF "
+            "and the like), or as clean frames arrays of your own inverse ISP (eldata.datasets.Arrays)"
         )
     return DatasetError(f"{folder}: holds no camera raw file{counted}{of_arrays(suffix)}")
 

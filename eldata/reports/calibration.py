@@ -135,7 +135,8 @@ def _describe_frames(calibration: Calibration) -> str:
     isos = calibration.all_isos
     sizes = sorted({(record.sensor.width, record.sensor.height) for record in isos})
     shapes = join_words([f"{width} × {height}" for width, height in sizes])
-    bias, flat = sum(record.bias_frames for record in calibration.isos), sum(record.flat_frames for record in isos)
+    bias = sum(record.bias_frames for record in calibration.isos)
+    flat = sum(record.flat_frames for record in isos if record.transfer)
     kept = sum(record.reproduction is not None for record in calibration.isos)
     frames = f"{bias} bias and {flat} flat frames of {shapes} pixels"
     return f"{frames}, and compared with {counted(kept, 'more bias frame')}" if kept else frames

@@ -7,16 +7,17 @@ multiplied is one matter, for all sources (:mod:`eldata.datasets.items`); where 
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, get_args, runtime_checkable
 
 import numpy as np
 
 from eldata.base.arrays import read_rgb16
 from eldata.base.compiled import scratch
-from eldata.errors import ArgumentError, DatasetError, FileError
+from eldata.errors import ArgumentError, DatasetError, FileError, check_choice
 from eldata.manifest.catalogue import FrameFiles, known_names
 from eldata.manifest.patterns import find_elsewhere, is_png
 from eldata.raw.levels import (
@@ -36,12 +37,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.manifest.card import Card
+    from eldata.manifest.clips import ClipRecord
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Levels
     from eldata.raw.levels import CfaRows, Clip
     from eldata.raw.mapped import Layout
     from eldata.raw.stated import StatedFile
-    from eldata.records import FrameRecord, RawFrame, Sensor
+    from eldata.records import FrameRecord, PairRecord, RawFrame, Sensor
 
 RGB_WHITE = 65535.0
 
@@ -270,6 +272,10 @@ def part_shape(shape: tuple[int, ...], rows: slice, columns: slice) -> tuple[int
     return height, width
 
 
+FileCheck = Literal["exists", "never"]
+"""When it is looked whether a dataset's files are there."""
+
+
 @runtime_checkable
 class FrameSource(Protocol):
     """Frames by path."""
@@ -374,6 +380,27 @@ class Files:
         if levels == "metadata" and not is_alike:
             return self.frame(path).without_pixels()
         return replace(like.without_pixels(), name=str(header.path), exposure=header.exposure)
+
+    def require(self, records: Iterable[PairRecord | ClipRecord], check: FileCheck) -> None:
+        """Look whether every file of a set's records is there, unless ``check`` is ``"never"``.
+
+        Raises
+        ------
+        DatasetError
+            If one is missing: how many are, and the first.
+        """
+        check_choice("check", check, get_args(FileCheck))
+        if check == "never" or not isinstance(self._files, FrameFiles):
+            return
+        folder, paths = self._files.folder, dict.fromkeys(path for record in records for path in record.files)
+        if missing := [path for path in paths if not os.path.exists(f"{folder}/{path}")]:  # noqa: PTH110 # 10 times faster
+            if self._card is not None:
+                self._require_folders(folder, self._card, missing[0])
+            name = "" if self._card is None else f" {self._card.name}"
+            raise DatasetError(
+                f"{folder}: lacks {len(missing)} of the {len(paths)} files of these records, first {missing[0]}; "
+                f'eldata verify{name} names all; check="never" makes the dataset all the same'
+            )
 
     def _require_folders(self, folder: Path, card: Card, path: str) -> None:
         """Raise if the set's folder is missing, a file lies elsewhere in it, or the folder of its camera is missing."""

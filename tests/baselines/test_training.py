@@ -244,8 +244,21 @@ def test_ctrl_c_says_what_is_saved(
         train_on(self, batch)
 
     monkeypatch.setattr(Training, "_train_on", interrupted)
-    assert main(["-o", str(tmp_path), *SMALL, *synthetic(store), "--epochs", "3", "--batch-size", "8"]) == 130
+    command = ["-o", str(tmp_path), *SMALL, *synthetic(store), "--batch-size", "8"]
+    assert main([*command, "--epochs", "3"]) == 130
     assert said.format(run=tmp_path) in capsys.readouterr().err
+    if last < 4:
+        return
+    assert main([*command, "--epochs", "2"]) == 2
+    said = f"{tmp_path}/checkpoint.pt: was started for 3 epochs (6 steps), now 2; give --epochs 3, or --finish to keep"
+    assert said in capsys.readouterr().err
+    assert main([*command, "--finish"]) == 0  # whatever --epochs is
+    network = UNet(4, width=4, depth=2)
+    network.load_state_dict(torch.load(tmp_path / "checkpoint.pt", weights_only=True)["network"])
+    image = np.random.default_rng(0).random((4, 24, 32), dtype=np.float32)
+    with torch.inference_mode():
+        kept = network(torch.from_numpy(image)[None])[0].numpy()
+    np.testing.assert_allclose(trained(network, tmp_path, image.shape).run(image), kept, atol=1e-5)
 
 
 @pytest.mark.study

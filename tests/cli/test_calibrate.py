@@ -120,6 +120,16 @@ def test_flats_without_a_line_cost_k_alone(eldata: Cli, tree: FrameTree, tmp_pat
     assert [(row.iso, row.gain_dn_per_e is None) for row in rows] == [(100, False), (400, True), (1600, False)]
 
 
+def test_saturated_flats_are_counted_and_their_channel_is_named(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
+    noise = np.random.default_rng(0)
+    for path in (path for iso in ISOS for path in tree.files("flat", iso)):
+        rewritten(path, mosaic=lambda mosaic: noise.integers(16300, 16384, mosaic.shape, np.uint16))
+    outcome = eldata("calibrate", tree.root, "--html", tmp_path / "r.html")
+    assert "12 bias frames, 12 flats of which none could be used, at 3 ISOs" in outcome.out
+    assert "R has 0 usable levels and a line needs two: the flats are saturated" in outcome.out
+    assert "Made from 12 bias and 0 flat frames" in (tmp_path / "r.html").read_text()
+
+
 # --- K that is stated, flats alone ------------------------------------------------------------------------------------
 
 

@@ -4,6 +4,7 @@ import argparse
 import json
 import re
 import shlex
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ import pytest
 
 import eldata as package
 from capture.cli.main import parser as capture_parser
+from eldata.cli.main import main
 from eldata.cli.main import parser as eldata_parser
 from tests.cases import in_one_test
 from tests.cli.conftest import Cli, Outcome
@@ -51,6 +53,22 @@ def test_help_is_a_word_as_well_as_an_option(eldata: Cli) -> None:
     assert eldata("help") == eldata("--help")
     assert eldata("help", "profile", "show") == eldata("profile", "show", "--help")
     assert_one_line(eldata("help", "verfy"), "did you mean verify?")
+
+
+def test_the_common_options_of_evaluate_fill_thirty_lines(eldata: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    common, rare = eldata("evaluate", "--help").out.split("\nless common options:\n")
+    assert common.count("\n") <= 30
+    assert all(f"  {name} " in common for name in ("PREDS", "--dataset", "--protocol", "--root", "--html", "--json"))
+    assert all(f"  {name} " in rare for name in ("--subset", "--allow-suspect", "--task", "--compare"))
+
+
+def test_ctrl_c_before_a_command_begins_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("eldata.base.console.import_module", lambda _: signal.raise_signal(signal.SIGINT))
+    assert main(["demo"]) == 130
+    assert capsys.readouterr().err == "eldata: interrupted; nothing was begun\n"
 
 
 # --- wrong usage ----------------------------------------------------------------------------------------------

@@ -154,3 +154,11 @@ def test_a_crop_of_an_array_is_what_numpy_makes_of_it(cfa: Cfa, clip: Any) -> No
         )
         wanted = np.clip(once * np.float32(1.5), *CLIP_RANGES[clip])
         np.testing.assert_array_equal(out.view(np.uint32), wanted.view(np.uint32))
+
+
+def test_pictures_in_place_of_raws_are_counted_and_what_else_to_do_is_said(tmp_path: Path) -> None:
+    for name in ("a.JPG", "b.jpg", "c.png", "notes.txt"):
+        (tmp_path / name).touch()
+    said = r"3 pictures \(\.jpg, \.png\).*use the raw files .*of your own inverse ISP \(eldata\.datasets\.Arrays\)"
+    with pytest.raises(DatasetError, match=said):
+        CleanFrames(tmp_path)

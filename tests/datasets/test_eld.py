@@ -69,6 +69,20 @@ def test_a_missing_or_broken_file_is_named(tree: Tree, number: int) -> None:
         dataset[0]
 
 
+def test_missing_files_are_named_as_the_set_is_made(tree: Tree) -> None:
+    """Of the chosen pairs alone: 12, which share 6 references."""
+    for number in (4, 6):
+        tree.file(number).unlink()
+    with pytest.raises(DatasetError) as raised:
+        demo(tree)
+    assert str(raised.value) == (
+        f"{tree.data}: lacks 2 of the 18 files of these records, first DemoAlpha/scene-1/IMG_0004.dng; eldata verify "
+        'eld-demo names all; check="never" makes the dataset all the same'
+    )
+    assert len(demo(tree, cameras=["DemoBeta"])) == 6
+    assert len(demo(tree, check="never")) == 12
+
+
 # --- wrong arguments ----------------------------------------------------------------------------------------------
 
 
@@ -80,7 +94,7 @@ def test_the_default_root(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_missing_camera_folder_says_what_to_choose(tree: Tree) -> None:
     shutil.rmtree(tree.data / "DemoBeta")
     with pytest.raises(DatasetError, match="no folder 'DemoBeta'") as raised:
-        demo(tree)[-1]
+        demo(tree)
     assert "cameras=['DemoAlpha']" in str(raised.value)
     assert len(demo(tree, cameras=["DemoAlpha"])) == 6
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pickle
 import re
+import subprocess
+import sys
 from collections import Counter
 from dataclasses import fields
 from functools import cache
@@ -16,6 +18,7 @@ from eldata.datasets import PairDataset, dataset_class, dataset_names, open_data
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import ENTRY_POINTS, Manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice, unpaired
+from tests.cases import in_one_test
 from tests.crvd_tree import build_crvd_tree
 from tests.datasets.comparing import same
 from tests.drv_tree import build_drv_tree
@@ -24,6 +27,7 @@ from tests.lrid_tree import build_lrid_tree
 from tests.sid_tree import build_sid_tree
 from tests.sidd_tree import build_blocks_tree, build_sidd_tree
 from tests.trees import build_published_tree
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -178,15 +182,25 @@ def test_the_published_clips_can_be_read(name: str, opened: Callable[..., Any]) 
 
 @EVERY
 def test_records_need_no_files_and_a_missing_folder_says_where_to_get_them(name: str, tmp_path: Path) -> None:
-    """As an item is read; but DRV's records do, for the names of its frames are not published."""
+    """As the set is made; but DRV's records do, for the names of its frames are not published."""
     if name != "drv":
-        dataset = open_dataset(name, tmp_path / "nowhere")
+        dataset = open_dataset(name, tmp_path / "nowhere", check="never")
         frame = dataset.frame
         assert len(frame) == len(dataset) == len(dataset.records) > 0
         for column in ("camera", "scene", "split", "reference"):
             assert list(frame[column]) == [getattr(record, column) for record in dataset.records]
         assert repr(dataset)
     with pytest.raises(DatasetError) as raised:
-        open_dataset(name, tmp_path / "nowhere")[0]
+        open_dataset(name, tmp_path / "nowhere")
     for words in ("nowhere", shipped_manifest(name).card.homepage, f"eldata info {name}", f"eldata download {name}"):
         assert words in str(raised.value)
+
+
+@in_one_test(
+    "place, name", [("eldata", "ELDDataset"), ("eldata.datasets", "PackedStore"), ("eldata.baselines", "Training")]
+)
+def test_a_name_that_needs_torch_says_how_to_install_it(place: str, name: str) -> None:
+    code = f"import sys; sys.modules['torch'] = None; from {place} import {name}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
+    told = f"ModuleNotFoundError: {name} needs torch, which is not installed: pip install torch"
+    assert done.stderr.splitlines()[-1] == told

@@ -19,12 +19,13 @@ VALUES: dict[str, Any] = {"levels": None, "clip": "both", "amplification": "meta
 CROPS: dict[str, Any] = {"crop": None, "augment": False, "crops": "random", "seed": 0, "transform": None}
 PACKED: dict[str, Any] = CROPS | {"crop": 512, "augment": True}
 PAIRED: dict[str, Any] = VALUES | CROPS | {"crops_per_frame": 1}
-PAIRS: dict[str, Any] = CHOICE | PAIRED | {"root": None}
+PAIRS: dict[str, Any] = CHOICE | PAIRED | {"root": None, "check": "exists"}
 WINDOWS: dict[str, Any] = {
     **CHOICE, **VALUES, **CROPS, "levels": "metadata",
     "ids": None, "window": 5, "stride": None, "frames": "all", "region": None, "crops_per_window": 1,
 }  # fmt: skip
 DRV: dict[str, Any] = {"root": None, "form": "preprocessed", "dynamic": False, "manifest": None, "reference": "*"}
+DRV["check"] = "exists"
 NOISE: dict[str, Any] = {
     "source": NEEDED, "profiles": NEEDED, "model": None, "clip": "both", "ratio": (100.0, 300.0), "iso": None,
     "range_dn": None, "row": None,
@@ -41,7 +42,7 @@ SIGNATURES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (datasets.PackedStore, CHOICE | VALUES | PACKED | {"path": NEEDED, "crops_per_frame": 1}),
     (datasets.SourcePairs, PAIRED | {"source": NEEDED, "records": NEEDED, "name": "", "levels": "metadata"}),
     (datasets.DRVDataset, WINDOWS | DRV),
-    (datasets.CRVDDataset, WINDOWS | {"root": None, "shots": range(10), "manifest": "crvd"}),
+    (datasets.CRVDDataset, WINDOWS | {"root": None, "shots": range(10), "manifest": "crvd", "check": "exists"}),
     (datasets.PackedClips, WINDOWS | PACKED | {"path": NEEDED, "dynamic": False}),
     (datasets.SyntheticPairs, NOISE | {"crops_per_frame": 1}),
     (datasets.SyntheticClips, NOISE | {"frames": 5, "windows_per_clip": 1}),

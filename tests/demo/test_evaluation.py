@@ -62,6 +62,7 @@ def test_what_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         assert parser().parse_args(command[1:]).root == str(folder / "data")
     for words in ("64 raw files", "all well", "eldata verify", "eldata evaluate", "24 of 24", "contact-sheet.png"):
         assert words in out
+    assert out.count("note: the files of DemoBeta saturate at 15303 DN") == 1
     with Image.open(folder / "contact-sheet.png") as image:
         assert image.size == (4 * (48 + 16) + 16, 2 * (32 + 26 + 16) + 16)  # with margins, and captions of 26 rows
 

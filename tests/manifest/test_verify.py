@@ -66,6 +66,23 @@ def test_the_same_wrong_exposure_in_many_files_is_one_problem_and_a_count(tree: 
     assert lines[2] == "    found     4 there; in all 31 files 80 % of what is expected"
 
 
+def test_sizes_that_differ_by_file_are_one_problem_with_their_range(tree: Tree) -> None:
+    rows = [replace(row, size_bytes=tree.file(1).stat().st_size + n) for n, row in enumerate(tree.manifest.records)]
+    save_records(tree.csv, rows)
+    sizes = [(tree.data / row.path).stat().st_size for row in rows]
+    report, base = check(tree, "quick"), sizes[0]
+    wrong = [n for n, size in enumerate(sizes) if size != base + n]
+    assert len(wrong) == len(report.problems) > 20
+    lines = report.format_text().splitlines()
+    found = [sizes[n] for n in wrong]
+    assert lines[:3] == [
+        f"{rows[wrong[0]].path} and {len(wrong) - 1} others alike: size_bytes",
+        f"    expected  {base + wrong[0]}..{base + wrong[-1]} bytes",
+        f"    found     {min(found)}..{max(found)} bytes",
+    ]
+    assert len(lines) == 5
+
+
 def test_reports_do_not_depend_on_the_number_of_jobs(tree: Tree) -> None:
     """Results come back in order from worker processes, and what they say survives the way."""
     tree.file(2).write_bytes(tree.file(2).read_bytes()[:-4000])

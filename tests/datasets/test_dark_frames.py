@@ -47,11 +47,11 @@ def write_bias(folder: Path, iso: int, mosaics: Iterable[NDArray[np.uint16]], cf
     return place.parent
 
 
-def written(folder: Path, cfa: Cfa = BAYER["GRBG"], isos: dict[int, int] | None = None) -> Path:
+def written(folder: Path, cfa: Cfa = BAYER["GRBG"], isos: dict[int, int] | None = None, side: int = SIDE) -> Path:
     """Those whose pixels are at random."""
     generator = np.random.default_rng(7)
     for iso, count in (ISOS if isos is None else isos).items():
-        mosaics = generator.integers(480, 560, (count, SIDE, SIDE), dtype=np.uint16)
+        mosaics = generator.integers(480, 560, (count, side, side), dtype=np.uint16)
         bias = write_bias(folder, iso, mosaics, cfa)
     return bias
 

@@ -370,15 +370,9 @@ def choose_isos(camera: CameraDescription, protocol: CaptureProtocol) -> tuple[i
 
 
 def plan_calibration(
-    camera: CameraDescription,
-    base_iso: int,
-    isos: tuple[int, ...],
-    flat_clips_at_s: Fraction,
-    *,
-    bias_frames: int = BIAS_FRAMES,
-    flat_levels: tuple[Fraction, ...] = FLAT_LEVELS,
-    warm: bool = False,
-) -> CalibrationPlan:
+    camera: CameraDescription, base_iso: int, isos: tuple[int, ...], flat_clips_at_s: Fraction, *,
+    bias_frames: int = BIAS_FRAMES, flat_levels: tuple[Fraction, ...] = FLAT_LEVELS, warm: bool = False,
+) -> CalibrationPlan:  # fmt: skip
     """Return the calibration frames of a camera: bias frames, flats, and bias frames with a warm sensor.
 
     Raises

@@ -332,17 +332,10 @@ class Fields:
         return value
 
     def each(
-        self,
-        name: str,
-        read: Callable[..., Value],
-        *,
-        expected: str = "a list",
-        count: int | None = None,
-        fewest: int = 0,
-        once: bool = False,
-        missing_ok: bool = False,
-        **options: Any,
-    ) -> tuple[Value, ...]:
+        self, name: str, read: Callable[..., Value], *,
+        expected: str = "a list", count: int | None = None, fewest: int = 0, once: bool = False,
+        missing_ok: bool = False, **options: Any,
+    ) -> tuple[Value, ...]:  # fmt: skip
         """Return ``read(fields, element, **options)`` of each element of a list; ``read`` is a method of this class.
 
         Parameters

@@ -125,16 +125,10 @@ def _take_image(made: Any, image: NDArray[np.float32]) -> Values:
 
 
 def load_network(
-    model: str,
-    *,
-    weights: Path | str | None = None,
-    device: str = "auto",
-    precision: Precision = "float32",
-    tile: int = 1024,
-    overlap: int = 128,
-    multiple: int | None = None,
-    window: int | None = None,
-) -> NetworkDenoiser:
+    model: str, *,
+    weights: Path | str | None = None, device: str = "auto", precision: Precision = "float32", tile: int = 1024,
+    overlap: int = 128, multiple: int | None = None, window: int | None = None,
+) -> NetworkDenoiser:  # fmt: skip
     """Load a network.
 
     Parameters

@@ -190,17 +190,10 @@ class Training:
     """
 
     def __init__(
-        self,
-        network: torch.nn.Module,
-        loader: DataLoader[Any],
-        *,
-        steps: int,
-        learning_rate: float = 1e-4,
-        loss: Loss = absolute_error,
-        device: torch.device | str = "cpu",
-        precision: Precision = "float32",
-        settings: Mapping[str, str | int | float] | None = None,
-    ) -> None:
+        self, network: torch.nn.Module, loader: DataLoader[Any], *,
+        steps: int, learning_rate: float = 1e-4, loss: Loss = absolute_error, device: torch.device | str = "cpu",
+        precision: Precision = "float32", settings: Mapping[str, str | int | float] | None = None,
+    ) -> None:  # fmt: skip
         check_choice("precision", precision, _PRECISIONS)
         self.steps = checked_whole("steps", steps, at_least=1)
         self.device = torch.device(device)

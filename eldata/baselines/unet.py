@@ -66,15 +66,9 @@ class UNet(nn.Module):
     """
 
     def __init__(
-        self,
-        channels: int = 4,
-        *,
-        width: int = 32,
-        depth: int = 4,
-        seed: int = 0,
-        inputs: int | None = None,
-        frames: int = 1,
-    ) -> None:
+        self, channels: int = 4, *,
+        width: int = 32, depth: int = 4, seed: int = 0, inputs: int | None = None, frames: int = 1,
+    ) -> None:  # fmt: skip
         super().__init__()
         taken = frames * (channels if inputs is None else inputs)
         if min(channels, width, taken) < 1 or depth < 0 or frames % 2 == 0:

@@ -134,17 +134,11 @@ class _Shot:
 
 
 def make_calibration_frames(
-    folder: Path,
-    *,
-    camera: CalibrationCamera = DEMO_GAMMA,
-    isos: Sequence[int] = (100, 400, 1600, 6400),
-    bias_frames: int = 10,
-    flat_levels: int = 5,
-    size: tuple[int, int] = (1024, 1536),
-    seed: int = 0,
-    features: FixedFeatures = DEMO_FEATURES,
-    workers: Workers = IN_THIS_PROCESS,
-) -> Manifest:
+    folder: Path, *,
+    camera: CalibrationCamera = DEMO_GAMMA, isos: Sequence[int] = (100, 400, 1600, 6400), bias_frames: int = 10,
+    flat_levels: int = 5, size: tuple[int, int] = (1024, 1536), seed: int = 0,
+    features: FixedFeatures = DEMO_FEATURES, workers: Workers = IN_THIS_PROCESS,
+) -> Manifest:  # fmt: skip
     """Take bias and flat-field frames with a simulated camera into ``folder``.
 
     Writes ``folder/data/calibration/<camera>/{bias,flat}/ISO<iso>/IMG_<nnnn>.dng``,

@@ -187,15 +187,9 @@ class _Stage:
         self.colour[:, here[0], here[1]] *= 1 - shadow
 
     def fill(
-        self,
-        cx: float,
-        cy: float,
-        width: float,
-        height: float,
-        tone: Tone | ArrayLike,
-        turn: float = 0.0,
+        self, cx: float, cy: float, width: float, height: float, tone: Tone | ArrayLike, turn: float = 0.0,
         radius: float = 0.0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Fill a box with one colour, or with a function of coordinates that run over it from 0 to 1."""
         spread = abs(np.sin(turn))
         across, down = (width + spread * height) / 2, (height + spread * width) / 2

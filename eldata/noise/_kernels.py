@@ -81,17 +81,10 @@ _PIECE = 1 << 16  # pixels in a band of rows: a fraction of a millisecond
 
 
 def expose_compiled(
-    clean: NDArray[np.float32],
-    draws: Sequence[NoiseDraw],
-    components: Sequence[str],
-    *,
-    keys: Sequence[int],
-    adc: Adc | None = None,
-    limits: tuple[float, float] = (-math.inf, math.inf),
-    dark: NDArray[np.float32] | None = None,
-    threads: int | None = None,
-    out: NDArray[np.float32] | None = None,
-) -> NDArray[np.float32]:
+    clean: NDArray[np.float32], draws: Sequence[NoiseDraw], components: Sequence[str], *,
+    keys: Sequence[int], adc: Adc | None = None, limits: tuple[float, float] = (-math.inf, math.inf),
+    dark: NDArray[np.float32] | None = None, threads: int | None = None, out: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:  # fmt: skip
     """Add noise to clean packed images.
 
     The random numbers of a pixel depend on the key, its image's index under it, its place in the image and the

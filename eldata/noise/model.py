@@ -142,17 +142,11 @@ class NoiseModel:
         return changed
 
     def __call__(
-        self,
-        clean: Image,
-        *,
-        parameters: NoiseParameters | Sequence[NoiseParameters],
-        ratio: float | Sequence[float],
-        generator: Generator,
-        range_dn: float | Sequence[float] | None = None,
-        dark: NDArray[np.float32] | None = None,
-        threads: int | None = None,
-        out: NDArray[np.float32] | None = None,
-    ) -> Image:
+        self, clean: Image, *,
+        parameters: NoiseParameters | Sequence[NoiseParameters], ratio: float | Sequence[float], generator: Generator,
+        range_dn: float | Sequence[float] | None = None, dark: NDArray[np.float32] | None = None,
+        threads: int | None = None, out: NDArray[np.float32] | None = None,
+    ) -> Image:  # fmt: skip
         """Make a noisy exposure of clean packed data.
 
         Parameters
@@ -203,15 +197,9 @@ class NoiseModel:
         return self.apply(clean, draws, generator, dark=dark, threads=threads, out=out)
 
     def apply(
-        self,
-        clean: Image,
-        draws: NoiseDraw | Sequence[NoiseDraw],
-        generator: Generator | Sequence[Generator],
-        *,
-        dark: NDArray[np.float32] | None = None,
-        threads: int | None = None,
-        out: NDArray[np.float32] | None = None,
-    ) -> Image:
+        self, clean: Image, draws: NoiseDraw | Sequence[NoiseDraw], generator: Generator | Sequence[Generator], *,
+        dark: NDArray[np.float32] | None = None, threads: int | None = None, out: NDArray[np.float32] | None = None,
+    ) -> Image:  # fmt: skip
         """Make the noisy exposure that was drawn: the same one for the same draws and state of the generator.
 
         Parameters
@@ -453,15 +441,9 @@ class NoiseMaker(Protocol):
     """
 
     def __call__(
-        self,
-        clean: NDArray[np.float32],
-        /,
-        *,
-        parameters: NoiseParameters,
-        ratio: float,
-        range_dn: float,
-        generator: np.random.Generator,
-    ) -> Any:
+        self, clean: NDArray[np.float32], /, *,
+        parameters: NoiseParameters, ratio: float, range_dn: float, generator: np.random.Generator,
+    ) -> Any:  # fmt: skip
         """Return a noisy exposure."""
 
 

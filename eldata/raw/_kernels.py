@@ -55,15 +55,9 @@ def scatter_bayer(
 
 @kernel
 def pack_bayer_normalised(
-    mosaic: NDArray[Any],
-    packed: NDArray[np.float32],
-    channel: NDArray[np.int64],
-    black: NDArray[np.float32],
-    white: np.float32,
-    low: np.float32,
-    high: np.float32,
-    gain: np.float32,
-) -> None:
+    mosaic: NDArray[Any], packed: NDArray[np.float32], channel: NDArray[np.int64], black: NDArray[np.float32],
+    white: np.float32, low: np.float32, high: np.float32, gain: np.float32,
+) -> None:  # fmt: skip
     """Pack and normalise a Bayer mosaic: clip(gain * clip((DN - black) / (white - black))) in float32.
 
     ``channel`` (2, 2) names the packed channel of each site, ``black`` (4,) has one entry per packed channel. A
@@ -94,17 +88,9 @@ def pack_bayer_normalised(
 
 @kernel
 def pack_sites_normalised(
-    mosaic: NDArray[Any],
-    packed: NDArray[np.float32],
-    sites: NDArray[np.int64],
-    period: int,
-    sub: int,
-    black: NDArray[np.float32],
-    white: np.float32,
-    low: np.float32,
-    high: np.float32,
-    gain: np.float32,
-) -> None:
+    mosaic: NDArray[Any], packed: NDArray[np.float32], sites: NDArray[np.int64], period: int, sub: int,
+    black: NDArray[np.float32], white: np.float32, low: np.float32, high: np.float32, gain: np.float32,
+) -> None:  # fmt: skip
     """:func:`pack_bayer_normalised` for larger periods: each row is normalised in one vector loop, then distributed."""
     periods = packed.shape[2] // sub
     width = periods * period

@@ -147,16 +147,9 @@ def _sensor_entries(sensor: Sensor) -> list[Entry]:
 
 
 def write_dng(
-    path: Path | str,
-    mosaic: NDArray[np.uint16],
-    sensor: Sensor,
-    exposure: Exposure,
-    *,
-    compression: Compression = "none",
-    taken: datetime | None = None,
-    orientation: int = 1,
-    software: str = "eldata",
-) -> None:
+    path: Path | str, mosaic: NDArray[np.uint16], sensor: Sensor, exposure: Exposure, *,
+    compression: Compression = "none", taken: datetime | None = None, orientation: int = 1, software: str = "eldata",
+) -> None:  # fmt: skip
     """Write a mosaic as a DNG, whole or not at all.
 
     :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (for a sensor without a matrix LibRaw's,

@@ -615,16 +615,10 @@ def _check_levels(sites: Sites, black_level_dn: tuple[float, ...], white_level_d
 
 
 def pack_normalised(
-    mosaic: NDArray[np.uint16] | NDArray[np.float32],
-    cfa: Cfa,
-    black_level_dn: Sequence[float],
-    white_level_dn: float,
-    *,
-    clip: Clip = "both",
-    gain: float = 1.0,
-    corrected: bool = False,
-    out: NDArray[np.float32] | None = None,
-) -> NDArray[np.float32]:
+    mosaic: NDArray[np.uint16] | NDArray[np.float32], cfa: Cfa, black_level_dn: Sequence[float],
+    white_level_dn: float, *,
+    clip: Clip = "both", gain: float = 1.0, corrected: bool = False, out: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:  # fmt: skip
     """Pack, normalise, clip, amplify and clip again, in one pass. NaN stays.
 
     ``out = clip(gain * clip((DN - black) / (white - black)))``, in float32 with one division per pixel: bit for

@@ -146,17 +146,10 @@ class Plot:
 
 
 def draw_plot(
-    report: str,
-    kind: str,
-    alt: str,
-    draw: Callable[..., object],
-    *,
-    name: str = "",
-    ratio: float | None = None,
-    caption: str = "caption",
-    more: str = "",
+    report: str, kind: str, alt: str, draw: Callable[..., object], *,
+    name: str = "", ratio: float | None = None, caption: str = "caption", more: str = "",
     words: Mapping[str, object] | None = None,
-) -> Plot:
+) -> Plot:  # fmt: skip
     """Draw a plot with the words of its kind.
 
     Parameters

@@ -229,13 +229,9 @@ def test_two_processes_train_one_network(store: Path, tmp_path: Path, capsys: py
     ],
 )
 def test_ctrl_c_says_what_is_saved(
-    last: int,
-    said: str,
-    store: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    last: int, said: str, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:
+) -> None:  # fmt: skip
     steps, train_on = itertools.count(1), Training._train_on
 
     def interrupted(self: Training, batch: Mapping[str, Any]) -> None:

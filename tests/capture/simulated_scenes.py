@@ -59,17 +59,11 @@ def radiance(scene: int, size: tuple[int, int] = SIZE) -> NDArray[np.float32]:
 
 
 def write_scenes(
-    folder: Path,
-    mishaps: Mapping[tuple[int, int], Callable[[Shot], Shot]] | None = None,
-    *,
-    scenes: Sequence[int] = (1,),
-    camera: SimulatedCamera = ALPHA,
-    seed: int = 0,
-    size: tuple[int, int] = SIZE,
-    ids: Sequence[int] = range(1, 17),
-    picture: Callable[[int, tuple[int, int]], NDArray[np.float32]] = radiance,
+    folder: Path, mishaps: Mapping[tuple[int, int], Callable[[Shot], Shot]] | None = None, *,
+    scenes: Sequence[int] = (1,), camera: SimulatedCamera = ALPHA, seed: int = 0, size: tuple[int, int] = SIZE,
+    ids: Sequence[int] = range(1, 17), picture: Callable[[int, tuple[int, int]], NDArray[np.float32]] = radiance,
     digital: Mapping[int, Callable[[NDArray[np.uint16]], NDArray[np.uint16]]] | None = None,
-) -> Manifest:
+) -> Manifest:  # fmt: skip
     """Photograph scenes into ``folder``; ``mishaps`` are by scene and frame number, ``digital``, of DN, by frame."""
     camera = camera.with_size(*size)
     eld = EldCamera(camera.name, ".dng", BASE_ISO, dict.fromkeys(scenes, METERED_S))

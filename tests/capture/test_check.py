@@ -377,12 +377,9 @@ def test_a_light_leak_in_one_corner(frames: Set) -> None:
     ],
 )
 def test_what_is_found(
-    frames: Set,
-    numbers: Sequence[int],
-    change: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    name: str,
+    frames: Set, numbers: Sequence[int], change: Callable[[NDArray[np.float64]], NDArray[np.float64]], name: str,
     verdict: str,
-) -> None:
+) -> None:  # fmt: skip
     """It, and nothing else, in the frames that have it."""
     for number in numbers:
         frames.change(number, change)

@@ -19,13 +19,9 @@ HASTY = RangeDownloader(tries=3, longest_wait_s=0.001, silence_s=5, plain_http=T
 
 
 def fetch(
-    address: str,
-    target: Path,
-    downloader: RangeDownloader = HASTY,
-    *,
-    size_bytes: int | None = None,
-    sha256: str | None = None,
-) -> Path:
+    address: str, target: Path, downloader: RangeDownloader = HASTY, *,
+    size_bytes: int | None = None, sha256: str | None = None,
+) -> Path:  # fmt: skip
     """Fetch as a card with this one download says, into the data root whose folder of archives ``target`` lies in."""
     download = Download(address, size_bytes, direct=True, sha256=sha256)
     return fetch_archive(download, target.parent.parent, downloader)

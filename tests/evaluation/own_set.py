@@ -89,14 +89,10 @@ class OwnSet(Placed):
 
 
 def build_own_set(
-    folder: Path,
-    *,
-    ratios: tuple[int, ...] = (50, 100),
-    scenes: int = 1,
-    size: tuple[int, int] = SIZE,
-    cfa: Cfa = GBRG,
+    folder: Path, *,
+    ratios: tuple[int, ...] = (50, 100), scenes: int = 1, size: tuple[int, int] = SIZE, cfa: Cfa = GBRG,
     black: tuple[float, ...] = BLACK,
-) -> OwnSet:
+) -> OwnSet:  # fmt: skip
     """One camera; each scene has a reference and one noisy frame a ratio."""
     sensor = sensor_of(size, cfa=cfa, black=black)
     records = []

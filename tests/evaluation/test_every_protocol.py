@@ -131,15 +131,10 @@ def exposure_of(record: FrameRecord, reference: FrameRecord) -> Exposure:
 
 
 def build(
-    name: str,
-    folder: Path,
-    chosen: Callable[[FrameRecord], bool],
-    *,
-    sensor: Callable[[int, str, tuple[int, int]], Sensor] = sensor_at,
-    sizes: Sequence[tuple[int, int]] = SIZES,
-    drift_dn: tuple[float, ...] = (1.0, -2.0, 3.0, 0.0),
-    dark: int | None = DARK,
-) -> Pairs:
+    name: str, folder: Path, chosen: Callable[[FrameRecord], bool], *,
+    sensor: Callable[[int, str, tuple[int, int]], Sensor] = sensor_at, sizes: Sequence[tuple[int, int]] = SIZES,
+    drift_dn: tuple[float, ...] = (1.0, -2.0, 3.0, 0.0), dark: int | None = DARK,
+) -> Pairs:  # fmt: skip
     """Write a shipped set's chosen noisy frames, their references, a manifest of them, and predictions of all.
 
     The black levels of noisy frames are off those of their references by ``drift_dn``, as some cameras' are from ISO to

@@ -117,13 +117,9 @@ def plain_dn(spec: str, clean: NDArray[np.float32], parameters: NoiseParameters,
 
 
 def device_dn(
-    spec: str,
-    clean: NDArray[np.float32],
-    parameters: NoiseParameters,
-    seed: int = 0,
-    adc: Adc | None = None,
+    spec: str, clean: NDArray[np.float32], parameters: NoiseParameters, seed: int = 0, adc: Adc | None = None,
     device: str = "cpu",
-) -> NDArray[np.float64]:
+) -> NDArray[np.float64]:  # fmt: skip
     """D in DN above black, of the engine for other devices."""
     draws, generator = [NoiseDraw(parameters, RATIO, RANGE_DN)] * len(clean), torch.Generator(device).manual_seed(seed)
     noisy = expose_on_device(torch.from_numpy(clean).to(device), draws, parse_components(spec), generator, adc=adc)

@@ -38,13 +38,9 @@ PARAMETERS = NoiseParameters(1.0, -0.1, 1.7, 1.7, 0.6, (0.3, -0.2, 0.1, 0.0))
 
 
 def noisy(
-    clean: NDArray[np.float32],
-    spec: str,
-    *draws: NoiseDraw,
-    key: int = 1,
-    threads: int = 2,
+    clean: NDArray[np.float32], spec: str, *draws: NoiseDraw, key: int = 1, threads: int = 2,
     parameters: NoiseParameters = PARAMETERS,
-) -> NDArray[np.float32]:
+) -> NDArray[np.float32]:  # fmt: skip
     """Draw by one key, in DN where no draws are given."""
     each = draws or [NoiseDraw(parameters, 1.0, 1.0)] * len(clean)
     return expose_compiled(clean, each, parse_components(spec), keys=[key], threads=threads)

@@ -227,16 +227,10 @@ Tag = tuple[int, str, int, object, bool]
 
 
 def write_plain_dng(
-    path: Path,
-    data: NDArray[np.uint16] | Iterator[bytes],
-    pattern: Sequence[str] | None = ("RG", "GB"),
-    *tags: Tag,
-    make: str = "Acme",
-    model: str = "Nocturne 1",
-    photometric: int = 32803,
-    white: int | None = 16000,
+    path: Path, data: NDArray[np.uint16] | Iterator[bytes], pattern: Sequence[str] | None = ("RG", "GB"), *tags: Tag,
+    make: str = "Acme", model: str = "Nocturne 1", photometric: int = 32803, white: int | None = 16000,
     **options: Any,
-) -> None:
+) -> None:  # fmt: skip
     """Write a DNG with tifffile and nothing of the package: no EXIF IFD, no colour, no black level."""
     all_tags: list[Tag] = [
         (271, "s", 0, make, True),

@@ -30,12 +30,9 @@ COMPRESSIONS: tuple[Compression, ...] = ("none", "lossless-jpeg")
 
 
 def check_round_trip(
-    path: Path,
-    mosaic: NDArray[np.uint16],
-    sensor: Sensor,
-    exposure: Exposure = EXPOSURE,
+    path: Path, mosaic: NDArray[np.uint16], sensor: Sensor, exposure: Exposure = EXPOSURE,
     compression: Compression = "none",
-) -> None:
+) -> None:  # fmt: skip
     write_dng(path, mosaic, sensor, exposure, compression=compression)
     frame = read_raw(path)
     assert frame.path == path

@@ -22,15 +22,10 @@ DIGEST = "sha256:" + "a" * 64
 
 def result_data(
     *,
-    cameras: Sequence[str] = ("SonyA7S2", "NikonD850"),
-    scenes: int = 8,
-    isos: Sequence[int] = (800, 1600, 3200),
-    ratios: Sequence[int] = (100, 200),
-    protocol: str = "eld",
-    gain_db: float = 0.0,
-    method: int = 0,
+    cameras: Sequence[str] = ("SonyA7S2", "NikonD850"), scenes: int = 8, isos: Sequence[int] = (800, 1600, 3200),
+    ratios: Sequence[int] = (100, 200), protocol: str = "eld", gain_db: float = 0.0, method: int = 0,
     dataset: str = "eld",
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """A result; ``method`` draws another method's scores of the same, equally hard images."""
     level = np.random.default_rng(1)
     noise = np.random.default_rng([2, method])

@@ -100,18 +100,11 @@ class DarkFrames:
     """
 
     def __init__(
-        self,
-        frames: CalibrationFrames | Path | str,
-        camera: str | None = None,
-        *,
-        isos: Collection[float] | None = None,
-        levels: Levels = "metadata",
-        place: Place = "same",
-        shading: DarkShading | Path | str | None = None,
-        shading_from: ShadingFrom = "these",
-        dither: bool = True,
+        self, frames: CalibrationFrames | Path | str, camera: str | None = None, *,
+        isos: Collection[float] | None = None, levels: Levels = "metadata", place: Place = "same",
+        shading: DarkShading | Path | str | None = None, shading_from: ShadingFrom = "these", dither: bool = True,
         keep: int = 0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         check_choice("place", place, get_args(Place))
         check_choice("shading_from", shading_from, get_args(ShadingFrom))
         self.place: Place = place

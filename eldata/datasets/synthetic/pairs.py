@@ -87,15 +87,9 @@ class NoisyItems(CroppedItems):
             prepare()  # or each worker would compile it
 
     def _draw_noise(
-        self,
-        place: int,
-        generator: np.random.Generator,
-        frame: Frame,
-        crop: Crop,
-        parts: Iterable[Part],
-        *frames: int,
-        **facts: int,
-    ) -> NoisyItem:
+        self, place: int, generator: np.random.Generator, frame: Frame, crop: Crop, parts: Iterable[Part],
+        *frames: int, **facts: int,
+    ) -> NoisyItem:  # fmt: skip
         """Draw an item's noise; dark frames have their turn by the item's place in the sequence of all draws."""
         range_dn, dark_frame = self.range_dn or frame.range_dn, ""
         if self._dark is None or self._turns is None:

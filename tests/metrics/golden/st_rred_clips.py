@@ -80,12 +80,9 @@ class Case:
 
 
 def _case(
-    name: str,
-    reference: Clip,
-    distort: Callable[[Clip], Clip],
-    peak: float = 255.0,
+    name: str, reference: Clip, distort: Callable[[Clip], Clip], peak: float = 255.0,
     layout: Callable[[Clip], Clip] = lambda clip: clip,
-) -> Case:
+) -> Case:  # fmt: skip
     return Case(name, lambda: (layout(distort(reference)), layout(reference)), peak)
 
 

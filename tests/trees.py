@@ -122,11 +122,9 @@ def flip_compressed_byte(path: Path) -> None:
 
 
 def write_each_once(
-    folder: Path,
-    records: Iterable[FrameRecord],
-    kind: Callable[[FrameRecord], object],
+    folder: Path, records: Iterable[FrameRecord], kind: Callable[[FrameRecord], object],
     write: Callable[[FrameRecord], object],
-) -> None:
+) -> None:  # fmt: skip
     """Write files; those of one kind are one under several names (hard links), which saves time and says nothing."""
     made: dict[object, Path] = {}
     for record in records:

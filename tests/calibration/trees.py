@@ -74,11 +74,9 @@ def make_tree(folder: Path, **options: Any) -> FrameTree:
 
 
 def rewritten(
-    path: Path,
-    *,
-    mosaic: Callable[[NDArray[np.uint16]], NDArray[np.uint16]] | None = None,
-    **fields: Any,
-) -> None:
+    path: Path, *,
+    mosaic: Callable[[NDArray[np.uint16]], NDArray[np.uint16]] | None = None, **fields: Any,
+) -> None:  # fmt: skip
     """Write a raw file again with other pixels, exposure, or fields of its sensor."""
     raw = read_raw(path)
     pixels = raw.mosaic if mosaic is None else mosaic(raw.mosaic)

@@ -63,10 +63,6 @@ class Tree:
     def file(self, number: int, scene: str = ALPHA) -> Path:
         return self.data / frame(number, scene)
 
-    def change_rows(self, **fields: object) -> None:
-        """Set the same fields in every row of the manifest."""
-        save_records(self.csv, [replace(record, **fields) for record in self.manifest.records])  # type: ignore[arg-type]
-
 
 def build_tree(folder: Path) -> Tree:
     """Two cameras, one scene, sixteen frames each: 32 files, 64 x 96 pixels. The fixture ``demo_tree`` has them."""

@@ -17,7 +17,6 @@ from eldata.datasets.rgb import PairSensors, Rendered, StagedPairs, continuous, 
 from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import Gamma, Rendering, render_pair_for_scoring
-from eldata.isp.response import ResponseCurve
 from eldata.raw import read_raw, write_dng
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
 CAMERA = "DemoAlpha"
 NOISY_BALANCE = (1.3, 1.0, 2.6, 1.0)
-CURVE = ResponseCurve(np.linspace(0, 1, 99), np.linspace(0, 1, 99) ** 0.6, "mine")
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from eldata import SIDDataset
 from eldata.isp.response import read_response_table
 from tests.isp.curves import GRID, family
 
@@ -57,6 +58,10 @@ def test_curves_are_read(first: tuple[Path, dict[str, Any]], monkeypatch: pytest
 
 
 def test_training_pairs_are_made(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    (tmp_path / "data" / "SID" / "Sony").mkdir(parents=True)
+    folder = tmp_path / "data" / "SID"
+    for record in SIDDataset(folder, camera="sony", split="train", check="never").records:
+        for path in record.files:
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).touch()
     monkeypatch.chdir(tmp_path)
     assert len(run(3, tmp_path)["pairs"]) == 1865

@@ -141,13 +141,12 @@ def of_scores(eld: Path) -> Names:
 
 
 def of_datasets(_: Path) -> Names:
-    for folders in ("ELD/SonyA7S2", "SID/Sony", "SID/Fuji"):
-        Path("data", folders).mkdir(parents=True)
     write_corrected(Path("data/SIDD-CC"), shipped_manifest("sidd").records[:4])
-    for manifest in map(shipped_manifest, ("lrd", "crvd", "lrid", "sidd")):
+    for manifest in map(shipped_manifest, ("eld", "sid-sony", "sid-fuji", "lrd", "crvd", "lrid", "sidd")):
         folder = manifest.folder("data")  # it looks where copies lie: once
-        for place in {(folder / record.path).parent for record in manifest.records}:
-            place.mkdir(parents=True, exist_ok=True)
+        for path in {folder / record.path for record in manifest.records}:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
     build_drv_tree(shipped_manifest("drv"), Path("data/DRV"), frames=12)
     for record in shipped_manifest("drv").records:
         if record.role == "noisy" and record.split == "train" and not record.scene.startswith("M"):

@@ -88,9 +88,7 @@ def _compare_aperture(frame: ReducedFrame, known: list[tuple[str, Fraction]], gr
     known.append((path, f_number))
     first, expected = known[0]
     if not same_aperture(f_number, expected):
-        states = (
-            f"EXIF states {format_f_number(f_number)}, expected {format_f_number(expected)} as in {file_name(first)}"
-        )
+        states = f"EXIF states {format_f_number(f_number)}, expected {format_f_number(expected)}"
         advice = "the exposure ratio is computed from ISO and time alone; keep the aperture fixed"
         group.remark(path, f"{states} as in {file_name(first)}: {advice}", "shoot again")
 

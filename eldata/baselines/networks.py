@@ -235,7 +235,7 @@ def _prepare_module(function: Any, device: str) -> Callable[..., Any]:
         function = function.to(device)
         # What torch raises for a module of torch.export, which stays in the mode in which it was exported.
         with suppress(NotImplementedError):
-            function.eval()
+            function.eval()  # torch's: batch statistics stand still
     return function  # type: ignore[no-any-return] # callable: checked by who loaded it
 
 

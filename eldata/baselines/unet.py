@@ -318,7 +318,7 @@ def _load_network(device: str) -> NoiseAwareUNet:
     load_weights(network, _NOISE_AWARE)
     # A third faster on a CPU.
     arranged: NoiseAwareUNet = network.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    return arranged.eval()
+    return arranged.eval()  # torch's: batch statistics stand still
 
 
 def weights_digest() -> str:

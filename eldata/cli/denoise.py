@@ -16,7 +16,7 @@ from typing import Any
 
 from eldata.base import console
 from eldata.base.files import write_problem
-from eldata.base.numbers import counted
+from eldata.base.numbers import checked_number, counted
 from eldata.errors import ArgumentError, EldataError
 
 
@@ -44,7 +44,7 @@ def run(arguments: console.Arguments) -> int:
 
     profile = None if arguments.profile is None else CameraProfile.load(arguments.profile)
     options: dict[str, Any] = {
-        "method": arguments.method, "ratio": arguments.amplify,
+        "method": arguments.method, "ratio": checked_number("--amplify", arguments.amplify, above=0),
         "profile_of_another_camera": arguments.profile_of_another_camera,
     }  # fmt: skip
     missing = _leave_out_finished(outputs, describe_work(arguments.method, arguments.amplify, profile))
@@ -75,7 +75,7 @@ def _name_outputs(arguments: console.Arguments) -> dict[Path, Path]:
             raise ArgumentError(f"-o {out} is one file, and {len(sources)} photographs are given; name a folder")
         outputs = {sources[0]: out}
     elif out.suffix and not out.is_dir():
-        raise ArgumentError(f"-o {out} is no file.dng; if it is to be a folder, make it first")
+        raise ArgumentError(f"-o {out} does not end in .dng; if you mean a folder, make it first")
     else:
         outputs = {source: out / f"{source.stem}.dng" for source in sources}
     if len(set(outputs.values())) < len(outputs):

@@ -394,11 +394,11 @@ class CroppedItems(Dataset[Sample], ABC):
             If a frame is smaller than the crop (with ``augment`` a mosaic needs one period of the CFA more), or the
             frames of an item do not belong together.
         """
-        sample: Sample = self._transform(self._read_sample(self.item(index)))
+        sample: Sample = self._apply_transform(self._read_sample(self.item(index)))
         return sample
 
-    def _transform(self, sample: dict[str, Any]) -> Any:
-        """Return what the dataset's transform makes of a sample; its errors name the item."""
+    def _apply_transform(self, sample: dict[str, Any]) -> Any:
+        """Apply the dataset's transform to a sample; an error that it raises names the item."""
         if self.transform is None:
             return sample
         place = sample["path"]  # it may change the sample
@@ -425,7 +425,7 @@ class CroppedItems(Dataset[Sample], ABC):
         if self._may_differ:
             return [self[index] for index in indices]
         samples = self._read_batch(indices)
-        return samples if self.transform is None else [self._transform(dict(sample)) for sample in samples]
+        return samples if self.transform is None else [self._apply_transform(dict(sample)) for sample in samples]
 
     def _read_batch(self, indices: Sequence[int]) -> list[dict[str, Any]]:
         """Read items into one piece of memory, or as they are where they do not fit one."""
@@ -476,7 +476,7 @@ def describe_sample(sample: Mapping[str, Any]) -> str:
     facts = [str(sample[name]) for name in ("camera", "scene") if sample.get(name)]
     for name, form in (("iso", "ISO {:g}"), ("ratio", "×{:g}"), ("start", "frame {:g}")):
         value = sample.get(name)
-        if value is not None and math.isfinite(value) and value > -(name == "start"):
+        if value is not None and math.isfinite(value) and (value > 0 or (name == "start" and value == 0)):
             facts.append(form.format(value))
     return "\n".join(text for text in (", ".join(facts), str(sample.get("path", ""))) if text)
 

@@ -301,9 +301,8 @@ class DRVDataset(ClipWindows):
     ``dataset[i]`` is a :class:`~eldata.datasets.items.Sample`, of dynamic clips without ``target``. As the authors
     preprocessed them, frames are RGB, binned, amplified and denoised by VBM4D: C = 3 in the order R, G, B (the DRV code
     has B, G, R, from OpenCV), divided by 65535. What they were amplified by is not published: ``ratio`` is nan. 202
-    static clips, of which 129 are for
-    training, 24 for validation and 49 for testing, and 23 dynamic ones, M0000 to M0022, as dark and noisy: no clean
-    source for :class:`~eldata.datasets.synthetic.pairs.SyntheticClips`.
+    static clips, of which 129 are for training, 24 for validation and 49 for testing, and 23 dynamic ones, M0000 to
+    M0022, as dark and noisy: no clean source for :class:`~eldata.datasets.synthetic.pairs.SyntheticClips`.
 
     Camera raws are packed Bayer, amplified by the exact exposure ratio of the files; dynamic ones, which have none, are
     not: ``ratio`` is 1. How the raw archives lie is not published. The files are looked for below ``root``

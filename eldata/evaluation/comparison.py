@@ -486,5 +486,5 @@ def statistics_note(comparison: Comparison) -> str:
     """Explain interval and p-value in a sentence."""
     return (
         f"Interval: {LEVEL:.0%}, Student's t over {over_scenes(shared=comparison.first.scenes_shared)}; p: signs of "
-        f"whole scenes flipped, two-sided. With fewer than {FEWEST_SCENES} scenes there is no interval."
+        f"whole scenes flipped, two-sided. An interval needs {FEWEST_SCENES} scenes."
     )

@@ -237,7 +237,7 @@ def validate(network: UNet, options: argparse.Namespace, device: torch.device) -
     raw = ELDDataset(folder, manifest=manifest.path, clip=options.input_clip, levels=options.levels)
     pairs = as_task(raw, options)
     protocol, scores = protocol_of_tensors(scored_protocol(options)), []
-    network.eval()
+    network.eval()  # torch's: batch statistics stand still
 
     def predict(image: Any) -> Any:
         """Denoise an image (C, h, w) by the network."""

@@ -391,10 +391,10 @@ def find_manifest(dataset: Path | str, root: Path | str | None = None) -> Manife
     ManifestError
         Like :func:`load_manifest` and :func:`known_manifest`.
     """
-    own = dataset
-    if is_name(dataset):
-        own = (dataset not in known_names() and _own_path(str(dataset), root)) or ""
-    return load_manifest(own) if own else known_manifest(str(dataset))
+    if not is_name(dataset):
+        return load_manifest(dataset)
+    own = None if dataset in known_names() else _own_path(str(dataset), root)
+    return known_manifest(str(dataset)) if own is None else load_manifest(own)
 
 
 def known_manifests(root: Path | str | None = None) -> tuple[tuple[Manifest, ...], tuple[str, ...]]:

@@ -365,10 +365,8 @@ class StoredRows:
         least = min(height, _ROWS_TO_KNOW + height - int(area[2] - area[0])) if short else height
         less = (height - least) // _PHASES * _PHASES
         length = size + (height - less) * self.row_bytes
-        descriptor = os.memfd_create("eldata-copy") if hasattr(os, "memfd_create") else None
-        if descriptor is not None:
-            os.ftruncate(descriptor, length)
-        copy, at = mmap.mmap(-1 if descriptor is None else descriptor, length), 0
+        copy, descriptor = _reserve_copy(length)
+        at = 0
         with path.open("rb") as file:
             for _, _, offset, held in sorted((*self.blocks, (0, 0, size, 0)), key=lambda block: block[2]):
                 if at < offset:
@@ -401,6 +399,18 @@ class StoredRows:
     def _state(self, copy: mmap.mmap, old: int, tag: int, value: int) -> None:
         """State a number in a tag, instead of what another tag states."""
         struct.pack_into(f"{self.main.order}HHII", copy, self.main.entries[old][0], tag, _LONG, 1, value)
+
+
+def _reserve_copy(length: int) -> tuple[mmap.mmap, int | None]:
+    """Reserve memory of this length, as a file without a name where the system has such and lets it be so long."""
+    if hasattr(os, "memfd_create"):
+        descriptor = os.memfd_create("eldata-copy")
+        try:
+            os.ftruncate(descriptor, length)
+            return mmap.mmap(descriptor, length), descriptor
+        except OSError:  # ulimit -f holds for it too
+            os.close(descriptor)
+    return mmap.mmap(-1, length), None
 
 
 def _are_one_run(extents: Sequence[tuple[int, ...]]) -> bool:

@@ -105,9 +105,9 @@ def no_raws(folder: Path, names: Iterable[str]) -> DatasetError:
         pictures = {name: n for name, n in suffixes.items() if name in PICTURES}
         count = sum(pictures.values())
         counted = (
-            f", but {count} picture{'s' if count > 1 else ''} ({', '.join(pictures)}), which the camera or a phone has "
-            "rendered and which are no longer linear: use the raw files that it writes beside them (DNG, ARW, CR3, NEF "
-            "and the like), or as clean frames arrays of your own inverse ISP (eldata.datasets.Arrays)"
+            f", but {count} picture{'s' if count > 1 else ''} ({', '.join(pictures)}), rendered by the camera or a "
+            "phone, so no longer linear: use its raw files (DNG, ARW, CR3, NEF and the like), or as clean frames arrays "
+            "of your own inverse ISP (eldata.datasets.Arrays)"
         )
     return DatasetError(f"{folder}: holds no camera raw file{counted}{of_arrays(suffix)}")
 

@@ -154,7 +154,7 @@ verdicts: dict[tuple[Any, ...], str] = {}
 
 
 def form_of(file: RawContainer) -> tuple[Any, ...]:
-    """Return what two files have in common whose pixels lie alike; nothing where tags do not place them.
+    """Describe where a file's pixels lie: alike for files laid out alike, empty where tags do not place them.
 
     The versions are in it, since verdicts are pickled with a source of frames, which may be kept.
     """

@@ -246,7 +246,7 @@ def test_several_files_go_on_after_one_that_fails(tmp_path: Path, capsys: pytest
         (["a.dng", "b.dng", "-o", "out", "--preview", "p.png"], "--preview is for one photograph"),
         (["a.dng", "-o", "a.dng"], "is there already"),
         (["a.dng", "-o", "none/x/b.dng"], "no folder"),
-        (["a.dng", "-o", "b.jpg"], "is no file.dng"),
+        (["a.dng", "-o", "b.jpg"], "does not end in .dng"),
     ],
 )
 def test_what_is_asked_for_is_refused_before_any_work(

@@ -105,7 +105,7 @@ def test_levels_are_those_of_the_protocol_that_the_card_names(
 
 
 def brighten(sample: dict[str, Any]) -> dict[str, Any]:
-    """In place and anew, and with a draw of torch's numbers."""
+    """Change one tensor in place, replace another, and draw a number from torch."""
     sample["input"].mul_(2)
     return sample | {"target": sample["target"][:, :4] + 1, "path": "", "drawn": torch.rand(())}
 

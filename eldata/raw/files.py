@@ -106,8 +106,8 @@ def no_raws(folder: Path, names: Iterable[str]) -> DatasetError:
         count = sum(pictures.values())
         counted = (
             f", but {count} picture{'s' if count > 1 else ''} ({', '.join(pictures)}), rendered by the camera or a "
-            "phone, so no longer linear: use its raw files (DNG, ARW, CR3, NEF and the like), or as clean frames arrays "
-            "of your own inverse ISP (eldata.datasets.Arrays)"
+            "phone, so no longer linear: use the raw files (DNG, ARW, CR3, NEF and the like), or as clean frames "
+            "arrays of your own inverse ISP (eldata.datasets.Arrays)"
         )
     return DatasetError(f"{folder}: holds no camera raw file{counted}{of_arrays(suffix)}")
 

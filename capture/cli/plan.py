@@ -12,6 +12,7 @@ The first makes a plan; the second is for the scene, when the meter says somethi
 from __future__ import annotations
 
 import argparse
+import math
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -264,7 +265,6 @@ def _format_shots(shots: Sequence[Shot]) -> str:
     rows = []
     for row in make_rows(shots):
         shot, error = row.shot, row.shot.ratio_error
-        true, named = (None if ratio is None else float(ratio) for ratio in (shot.true_ratio, shot.named_ratio))
         cells = {
             "frame": row.numbers,
             "role": f"{shot.series} {shot.role}".lstrip(),
@@ -275,10 +275,10 @@ def _format_shots(shots: Sequence[Shot]) -> str:
             "asked": f"{shot.target_s} s",
             "set": f"{shot.setting.dial} s",
             "gives": f"{shot.setting.true_s:.4g} s",
-            "ratio": format_cell(true, "{:.2f}"),
-            "EXIF": format_cell(named, "{:.2f}"),
-            "error": format_cell(error and 100 * (float(error) - 1), "{:+.1f} %"),
-            "stops": format_cell(error and error.log2, "{:+.3f}"),
+            "ratio": format_cell(shot.true_ratio, "{:.2f}"),
+            "EXIF": format_cell(shot.named_ratio and float(shot.named_ratio), "{:.2f}"),
+            "error": format_cell(error and 100 * (error - 1), "{:+.1f} %"),
+            "stops": format_cell(error and math.log2(error), "{:+.3f}"),
             "reference": format_cell(shot.reference),
         }
         rows.append(cells)

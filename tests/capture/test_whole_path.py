@@ -103,7 +103,7 @@ def test_from_plan_to_scores(
     for group, scene in zip(checked, Plan.load("DemoAlpha.json").scenes, strict=False):
         for pair, shot in zip(group["pairs"], (shot for shot in scene.shots if shot.factor), strict=True):
             measured = pair["measured"]["EXIF ratio"]
-            assert measured["value"] == pytest.approx(float(there(shot.true_ratio)), abs=5 * measured["standard_error"])
+            assert measured["value"] == pytest.approx(there(shot.true_ratio), abs=5 * measured["standard_error"])
             assert measured["standard_error"] < 0.02 * measured["value"]
     output = run(
         "eldata evaluate --baseline input --manifest manifests/mine.csv --root data --jobs 1 --json scores.json"
@@ -140,7 +140,7 @@ def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path) -> None:
     assert [pair[-8:-4] for pair in pairs] == [f"{shot.number:04d}" for shot in noisy] == ["0003", "0004", "0005"]
     for pair, shot in zip(pairs, noisy, strict=True):
         ratio = report.groups[0].row(pair)["ratio"]
-        true_ratio, named_ratio = float(there(shot.true_ratio)), float(there(shot.named_ratio))
+        true_ratio, named_ratio = there(shot.true_ratio), float(there(shot.named_ratio))
         # Standard errors are 5 to 10 % too small (docs/capture.md).
         assert abs(ratio.value - true_ratio) < 1.1 * 5 * ratio.standard_error
         assert abs(named_ratio / true_ratio - 1) > 0.1

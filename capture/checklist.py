@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from capture.capture_errors import ImpossibleShotError
 from capture.observed import format_f_number
-from capture.shots import WARM, ScenePlan, format_minutes, plan_shots
+from capture.shots import WARM, ScenePlan, Shot, format_minutes, plan_shots
 from eldata.base.fields import shipped_toml
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from capture.plan import Plan
-    from capture.shots import Shot
 
 __all__ = ["FORMATS", "html_checklist", "markdown_checklist", "plan_digest", "text_checklist"]
 

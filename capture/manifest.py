@@ -16,8 +16,8 @@ from typing import IO, TYPE_CHECKING, Final, Literal
 
 from capture.capture_errors import CaptureError
 from capture.matching import can_be
-from capture.plan import CALIBRATION
-from capture.shots import WARM
+from capture.plan import CALIBRATION, Plan
+from capture.shots import WARM, Shot
 from eldata.base.files import atomic_write, naming_file, sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from capture.matching import Match, Slot
     from capture.observed import ObservedFrame
-    from capture.plan import Plan
-    from capture.shots import Shot
 
 _PIECE: Final = 1 << 20
 

@@ -24,14 +24,13 @@ from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from capture.camera import EQUAL
+from capture.camera import EQUAL, CameraDescription, ShutterTime
 from capture.capture_errors import CaptureError, ImpossibleShotError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from capture.camera import CameraDescription, ShutterTime
     from capture.protocol import CaptureProtocol, ProtocolFrame
     from eldata.records import Role
 

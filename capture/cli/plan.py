@@ -17,7 +17,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from capture.camera import parse_seconds
+from capture.camera import CameraDescription, parse_seconds
 from capture.checklist import make_rows
 from capture.protocol import PROTOCOLS, CaptureProtocol
 from eldata.base.console import OK, add_output, add_shared, show_and_write, whole_number
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from fractions import Fraction
 
-    from capture.camera import CameraDescription
     from capture.plan import Plan
     from capture.shots import CalibrationPlan, Shot
 

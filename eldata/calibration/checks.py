@@ -14,9 +14,9 @@ import numpy as np
 
 from eldata.calibration import iso_results as findings
 from eldata.calibration.bias_sums import LAGS
-from eldata.calibration.flats import straight_line
-from eldata.calibration.iso_results import fill_sentence
-from eldata.calibration.residuals import read_noise
+from eldata.calibration.flats import FlatPairs, PhotonTransfer, PhotonTransferLine, straight_line
+from eldata.calibration.iso_results import Finding, IsoCalibration, Quantity, fill_sentence
+from eldata.calibration.residuals import ReadNoise, read_noise
 from eldata.calibration.tukey_lambda import NEARLY_NORMAL, Ripple
 from eldata.noise.parameters import tukey_lambda_variance
 
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
         ResidualHistogram,
         RowNoise,
     )
-    from eldata.calibration.flats import FlatPairs, PhotonTransfer, PhotonTransferLine
-    from eldata.calibration.iso_results import Finding, IsoCalibration, Quantity
-    from eldata.calibration.residuals import ReadNoise
     from eldata.calibration.sums import Counts, Mask, Values
 
 # --- bias frames ------------------------------------------------------------------------------------------------------

@@ -18,14 +18,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.sums import FrameSums, channel_histograms, segment_sums
+from eldata.calibration.sums import Counts, FrameSums, Mask, Mosaic, Values, channel_histograms, segment_sums
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.levels import BAYER_CHANNELS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.sums import Counts, Mask, Mosaic, Values
     from eldata.raw.levels import Cfa
 
 SEGMENT = 96

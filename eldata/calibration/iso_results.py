@@ -16,7 +16,7 @@ import numpy as np
 
 from eldata.base.fields import shipped_toml
 from eldata.base.tables import with_error
-from eldata.calibration.flats import channel_names
+from eldata.calibration.flats import PhotonTransfer, PhotonTransferLine, channel_names
 from eldata.calibration.frames import FramesError
 from eldata.errors import ArgumentError, did_you_mean
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from eldata.calibration.bias_sums import ColourBias, LineNoise, RowNoise
     from eldata.calibration.defects import PatternSummary
-    from eldata.calibration.flats import PhotonTransfer, PhotonTransferLine
     from eldata.calibration.held_out import Reproduction
     from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
     from eldata.calibration.sums import Plane

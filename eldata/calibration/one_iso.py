@@ -18,7 +18,7 @@ from eldata.calibration import checks
 from eldata.calibration.bias_sums import BiasPairs, BiasSums, colour_bias, power_spectrum, row_noise
 from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, fixed_pattern, too_few_frames
 from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.frames import FrameReader, FramesError, measure_frame, measure_pair, unequal_pair
+from eldata.calibration.frames import FrameReader, FramesError, IsoFrames, measure_frame, measure_pair, unequal_pair
 from eldata.calibration.held_out import compared_piece, reproduction
 from eldata.calibration.iso_results import (
     CLIPPED,
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
     from eldata.calibration.bias_sums import BiasStatistics, ResidualHistogram
     from eldata.calibration.defects import FixedPattern
-    from eldata.calibration.frames import IsoFrames
     from eldata.calibration.iso_results import Finding
     from eldata.calibration.sums import Mosaic
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.bias_sums import CELLS_PER_SIGMA, count_frame
+from eldata.calibration.bias_sums import CELLS_PER_SIGMA, ResidualHistogram, count_frame
 from eldata.calibration.tukey_lambda import (
     HIGHEST,
     LOWEST,
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.bias_sums import ResidualHistogram
     from eldata.calibration.defects import FixedPattern
     from eldata.calibration.sums import Counts, Mosaic, Values
 

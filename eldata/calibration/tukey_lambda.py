@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -12,8 +12,6 @@ from eldata.base.compiled import kernel
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
-    from typing import TypeAlias
-
     from scipy.interpolate import PchipInterpolator
 
     from eldata.calibration.sums import Values

@@ -18,14 +18,13 @@ from typing import TYPE_CHECKING, Any
 from eldata.base import console
 from eldata.base.console import add_output
 from eldata.base.files import refuse_among
-from eldata.base.tables import FORMATS
+from eldata.base.tables import FORMATS, Format
 from eldata.cli.baseline import add_pairs, add_set
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from eldata.base.tables import Format
     from eldata.base.workers import Workers
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.request import Request

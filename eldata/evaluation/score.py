@@ -21,11 +21,11 @@ from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, P
 from eldata.evaluation.diagnosis import Inspection, choose_frames, find_mistake, sketch
 from eldata.evaluation.mistakes import Circumstances
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
-from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
+from eldata.evaluation.scores import EvaluationProblem, FrameScore, Pair, UnitScore, mean
 from eldata.manifest.clips import ClipRecord
 from eldata.metrics.registry import OF_FRAMES
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.protocols.protocol import NO_SHADING, Amplification, ClipProtocol, Levels
+from eldata.protocols.protocol import NO_SHADING, Amplification, ClipProtocol, Levels, Protocol
 from eldata.raw.levels import check_in_dn, packed_black_level_dn, unpack
 from eldata.sources.frames import Files, Frame
 from eldata.sources.pairs import PairOpener, find_ratio
@@ -36,11 +36,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.evaluation.request import Request
-    from eldata.evaluation.scores import Pair
     from eldata.evaluation.tasks import Shown, Task, TaskImages
     from eldata.manifest.catalogue import FrameFiles
     from eldata.metrics.image_score import Score, ScoringRules
-    from eldata.protocols.protocol import Protocol
     from eldata.records import Sensor
 
     Image: TypeAlias = NDArray[Any]

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from fractions import Fraction
 from functools import partial
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from eldata.base.numbers import counted
-from eldata.base.workers import Failed, Workers
+from eldata.base.workers import AnyWorkers, Failed, Workers
 from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileError
 from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, load_card, title_of_set
 from eldata.manifest.catalogue import load_manifest, shipped_folder
@@ -24,15 +24,12 @@ from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.verify_report import Problem, row_fault
 from eldata.raw.files import ShotFacts, find_doubles, raws_below
 from eldata.raw.levels import packing_sites
-from eldata.records import FrameRecord, Sensor
+from eldata.records import FrameRecord, RawHeader, Role, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from datetime import datetime
-    from pathlib import Path
 
-    from eldata.base.workers import AnyWorkers
-    from eldata.records import RawHeader, Role
 
 SCENE = "{scene}"
 

@@ -21,7 +21,7 @@ from eldata.plots.axes import (
     transfer_lines,
 )
 from eldata.plots.pictures import block_means, grey_png, limits
-from eldata.reports.html import TEMPLATES, digits, draw_plot, format_measured, typeset
+from eldata.reports.html import TEMPLATES, Plot, digits, draw_plot, format_measured, typeset
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
     from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
     from eldata.plots.axes import Theme
-    from eldata.reports.html import Plot
 
 GAUSSIAN_LAMBDA = 0.14
 """The shape at which the Tukey-lambda distribution is nearest to the normal one."""

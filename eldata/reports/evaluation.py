@@ -22,13 +22,13 @@ from eldata.evaluation.looking import (
     strips_of,
     worst_and_best_images,
 )
-from eldata.evaluation.scores import factor_text, short_digest
-from eldata.plots.axes import number, set_ticks
+from eldata.evaluation.scores import UnitScore, factor_text, short_digest
+from eldata.plots.axes import Theme, number, set_ticks
 from eldata.plots.pictures import heat_gradient
-from eldata.plots.scores import draw_points, strips
+from eldata.plots.scores import Strip, draw_points, strips
 from eldata.protocols.words import FIELDS, in_words
-from eldata.reports.html import digits, draw_plot, render_with_script, signed
-from eldata.reports.pictures import show_images
+from eldata.reports.html import Plot, digits, draw_plot, render_with_script, signed
+from eldata.reports.pictures import DrawnImage, show_images
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,14 +37,9 @@ if TYPE_CHECKING:
 
     from eldata.evaluation.looking import Grouping
     from eldata.evaluation.results import EvaluationResult
-    from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
     from eldata.manifest.catalogue import FrameFiles
     from eldata.metrics.registry import Figure, Kind
-    from eldata.plots.axes import Theme
-    from eldata.plots.scores import Strip
-    from eldata.reports.html import Plot
-    from eldata.reports.pictures import DrawnImage
 
     Shown = tuple[str, UnitScore, DrawnImage]
 

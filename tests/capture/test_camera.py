@@ -4,7 +4,8 @@ import json
 import math
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -15,9 +16,6 @@ from capture.capture_errors import CaptureError
 from eldata.errors import ArgumentError
 from tests.cases import in_one_test
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 THIRD, HALF, FULL = Fraction(1, 3), Fraction(1, 2), Fraction(1)
 

@@ -5,13 +5,14 @@ import json
 import math
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture.camera import EXAMPLE, Shutter
+from capture.camera import EXAMPLE, CameraDescription, Shutter
 from capture.capture_errors import CaptureError, ImpossibleShotError
 from capture.plan import Plan, make_plan
 from capture.protocol import PAPER, RELEASED, CaptureProtocol
@@ -19,11 +20,6 @@ from capture.shots import choose_isos, format_minutes, plan_calibration, plan_sh
 from tests.capture.simulated import CAMERA, plan_of
 from tests.cases import in_one_test
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from capture.camera import CameraDescription
 
 DIALS = [time.dial for time in EXAMPLE.shutter.times]
 

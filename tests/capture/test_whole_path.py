@@ -7,7 +7,8 @@ import shutil
 from dataclasses import replace
 from datetime import datetime, timedelta
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,24 +18,18 @@ from capture.check import check
 from capture.cli import main as capture
 from capture.plan import Plan, make_plan
 from capture.protocol import CaptureProtocol
-from capture.shots import plan_calibration
+from capture.shots import ScenePlan, plan_calibration
 from eldata import CalibrationFrames
 from eldata.cli.main import main as eldata
 from eldata.datasets import PairDataset
 from eldata.datasets.calibration_frames import flat_pairs
-from eldata.demo.camera import CAMERAS
+from eldata.demo.camera import CAMERAS, SimulatedCamera
 from eldata.demo.scenes import scene_radiance
 from eldata.manifest import load_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 from tests.capture.simulated import CAMERA, START, Nights, as_planned, run_capture, shoot, whole_plan
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from capture.shots import ScenePlan
-    from eldata.demo.camera import SimulatedCamera
 
 PROTOCOL = CaptureProtocol(noisy_isos=(800,), low_light_factors=(10, 100), repeats=3, references=2)
 LRID = make_plan(CAMERA, PROTOCOL, {"scene-1": Fraction(4)})

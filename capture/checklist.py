@@ -29,11 +29,7 @@ __all__ = ["FORMATS", "html_checklist", "markdown_checklist", "plan_digest", "te
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
 _WORDS = TEMPLATES / "checklist.toml"
-_TITLES: Final = {
-    "bias": "Bias frames",
-    "flats": "Flat-field frames",
-    WARM: "With the sensor warm, after the shooting",
-}
+_TITLES: Final = {"bias": "Bias frames", "flats": "Flat-field frames", WARM: "With the sensor warm, after the shooting"}
 _LONGEST_TEXT: Final = 500  # characters of a file's name or a remark
 _MOST_REPEATS: Final = 99
 _TO_BE_TIMED_S: Final = 1  # shorter exposures are over before a button is pressed

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy import special, stats
 
 from eldata.calibration.sums import (
     channel_histograms,
@@ -385,8 +386,6 @@ def _measure_lines(
     means: list[Values], pixels: Counts, fixed_sums: Values, pattern: Counts, pixel_variance: float
 ) -> LineNoise:
     """Measure the noise of rows, or of columns, from their means in each frame, and test if it is normal."""
-    from scipy import stats
-
     deviations, counts = np.array(means), pixels.sum(axis=1)
     used = counts > 0
     deviations = deviations[:, used]
@@ -454,8 +453,6 @@ def colour_bias(sums: BiasSums, noise: RowNoise, black_level_dn: Sequence[float]
     black_level_dn
         As recorded, one for each CFA channel.
     """
-    from scipy.special import chdtri, ndtri, stdtrit
-
     table = np.array(sums.means_dn)
     frames = len(table)
     bias = table - np.asarray(black_level_dn)
@@ -466,8 +463,8 @@ def colour_bias(sums: BiasSums, noise: RowNoise, black_level_dn: Sequence[float]
     )
     drift = float((bias.var(axis=0, ddof=1) / of_frame).mean())
     error = np.sqrt(of_frame * max(drift, 1.0) / frames)
-    if drifts := drift > chdtri(frames - 1, _BY_CHANCE) / (frames - 1):
-        error *= stdtrit(frames - 1, 0.975) / ndtri(0.975)  # so few frames know little of their scatter
+    if drifts := drift > special.chdtri(frames - 1, _BY_CHANCE) / (frames - 1):
+        error *= special.stdtrit(frames - 1, 0.975) / special.ndtri(0.975)  # so few frames know little of their scatter
     return ColourBias(
         bias_dn=tuple(bias.mean(axis=0).tolist()),
         standard_error_dn=tuple(error.tolist()),

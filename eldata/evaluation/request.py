@@ -16,13 +16,7 @@ from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Workers
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.evaluation.tasks import Task
 from eldata.manifest.card import find_subset
-from eldata.manifest.catalogue import (
-    FrameFiles,
-    Manifest,
-    find_manifest,
-    shipped_manifest,
-    shipped_names,
-)
+from eldata.manifest.catalogue import FrameFiles, Manifest, find_manifest, shipped_manifest, shipped_names
 from eldata.manifest.clips import choose_clips, clip_place, clips_of, windows
 from eldata.manifest.layouts import describe_layout
 from eldata.manifest.pair_checks import white_remarks

@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING
 
 from capture.camera import CameraDescription, parse_seconds
 from capture.checklist import make_rows
+from capture.observed import format_f_number
 from capture.protocol import PROTOCOLS, CaptureProtocol
+from capture.shots import BIAS_FRAMES, CalibrationPlan, Shot, choose_isos, describe_duration, plan_calibration
 from eldata.base.console import OK, add_output, add_shared, show_and_write, whole_number
 from eldata.base.tables import text_table
 from eldata.base.visible import shown
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from capture.plan import Plan
-    from capture.shots import CalibrationPlan, Shot
 
 _CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors", "repeats", "references")
 _MOST_SCENES = 1000
@@ -142,7 +143,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _make_plan(arguments: argparse.Namespace) -> Plan:
     """Make a new plan from the camera's file and the command's options."""
-    from capture.camera import CameraDescription
     from capture.plan import make_plan
 
     if arguments.camera is None:
@@ -183,8 +183,6 @@ def _plan_calibration(
     camera: CameraDescription, protocol: CaptureProtocol, arguments: argparse.Namespace
 ) -> CalibrationPlan | None:
     """Plan the calibration frames that are asked for."""
-    from capture.shots import BIAS_FRAMES, choose_isos, plan_calibration
-
     if not arguments.calibration:
         for name in ("flat_clips_at", "calibration_isos", "bias_frames", "warm"):
             if getattr(arguments, name):
@@ -231,9 +229,6 @@ def _change_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 def format_plan(plan: Plan) -> str:
     """Format a plan: a table for the scenes of each metered time, and one for the calibration frames."""
-    from capture.observed import format_f_number
-    from capture.shots import describe_duration
-
     protocol = plan.protocol
     parts = [f"{plan.camera.name}: {len(plan.shots)} shots; {protocol}"]
     for time, f_number in dict.fromkeys((scene.metered_s, scene.aperture) for scene in plan.scenes):

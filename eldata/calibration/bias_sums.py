@@ -392,8 +392,6 @@ def _measure_lines(
     frames, lines = deviations.shape
     independent = lines - _count_classes(pattern)
     freedom = (frames - 1) * independent
-    if freedom < 2:
-        raise DatasetError("too few sound rows or columns are left")
     scatter = float((deviations**2).sum()) / freedom
     of_pixels = pixel_variance * float((1 / counts[used]).mean())
     variance, variance_error = scatter - of_pixels, scatter * math.sqrt(2 / freedom)

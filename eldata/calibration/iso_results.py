@@ -241,8 +241,6 @@ class MeasuredFigure:
         The figure and its standard error with all allowances; nan: withheld, or not known.
     decimals
         Of a figure that has no error.
-    why_withheld
-        Which assumption did not hold; empty if the figure is given.
     is_stated
         Whether it was not measured: somebody has said so.
     """
@@ -253,7 +251,6 @@ class MeasuredFigure:
     error: float = math.nan
     unit: str = ""
     decimals: int | None = None
-    why_withheld: str = ""
     is_stated: bool = False
 
     @property
@@ -366,8 +363,8 @@ class IsoGain:
         scale
             The figure itself by default.
         """
-        if why := self.why(quantity):
-            return replace(figure, value=math.nan, error=math.nan, why_withheld=why)
+        if quantity in self.withheld:
+            return replace(figure, value=math.nan, error=math.nan)
         scale = figure.value if scale is None else scale
         shares = (one.allowance for one in self.findings if quantity in one.figures and one.effect == "wider")
         return replace(figure, error=math.hypot(figure.error, *(share * scale for share in shares)))

@@ -363,8 +363,6 @@ class ResidualFit:
     def covariance(self) -> Values:
         """(2, 2) of shape and ln scale, from the scatter between groups of rows."""
         groups = len(self.influence)
-        if groups < 8:
-            return self.information
         return np.asarray(self.influence.T @ self.influence * groups / (groups - 1))
 
     def chi2_per_dof(self) -> tuple[float, int]:

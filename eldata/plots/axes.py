@@ -258,6 +258,7 @@ def transfer_lines(
     for index, line in enumerate(lines):
         main.plot(ends, line.variance_at(ends), color=theme.theory, label="fitted" if index == 0 else "_")
     main.set_ylabel("variance [DN²]")
+    (below or main).set_xlabel("signal [DN]")
     legend_above(main, most=5)
     return furthest
 

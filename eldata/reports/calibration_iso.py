@@ -70,7 +70,6 @@ def transfer_plot(record: IsoGain, transfer: PhotonTransfer) -> Plot:
             _draw_single_frames(main, spatial, theme)
             plots.legend_above(main)
         plots.deviation_band(below, furthest, _LIMIT, theme)
-        below.set_xlabel("signal [DN]")
 
     more = "" if spatial is None else shipped_toml(TEMPLATES / "calibration.toml")["transfer"]["single_frames"]
     return _plot("transfer", record, alt, draw, ratio=2.6, more=more)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from eldata.base.numbers import counted
 from eldata.base.workers import AnyWorkers, Failed, Workers
 from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileError
-from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, load_card, title_of_set
+from eldata.manifest.card import CameraCard, Card, cfa_word, load_card, own_card
 from eldata.manifest.catalogue import load_manifest, shipped_folder
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.verify_report import Problem, row_fault
@@ -184,7 +184,12 @@ def sort_own_set(
         else:
             problems.append(row_fault(place, "scene", f"a name of its own, not {title}", other, "rename one of them"))
     records.sort(key=lambda record: record.path)
-    card = _make_card(name, folder.name, cfa_word(cfas), frames, records)
+    models: dict[str, set[str]] = defaultdict(set)
+    for frame in frames:
+        models[frame.camera].add(frame.model)
+    cameras = {camera: CameraCard(tuple(sorted(found))) for camera, found in models.items() if camera}
+    sources = ("eldata manifest: roles, ratios and exposures as EXIF and folders say",)
+    card = own_card(name, folder.name, records, cfa=cfa_word(cfas), cameras=cameras, sources=sources)
     return OwnSet(card, tuple(records), tuple(problem.of(name) for problem in problems), left_out)
 
 
@@ -283,27 +288,6 @@ def _nominal(ratio: Fraction) -> Fraction:
     """Return a ratio as people name it: shutters round, so that 200 may be 213 (:data:`RATIO_TOLERANCE`)."""
     one, two = (Fraction(f"{float(ratio):.{digits}e}") for digits in (0, 1))
     return one if abs(ratio - one) <= RATIO_TOLERANCE * one else two
-
-
-def _make_card(name: str, folder: str, cfa: str, frames: Sequence[_Frame], records: Sequence[FrameRecord]) -> Card:
-    """Make the card of a set of one's own; citation, licence and homepage are not stated."""
-    models: dict[str, set[str]] = defaultdict(set)
-    for frame in frames:
-        models[frame.camera].add(frame.model)
-    scenes = len({record.scene for record in records} - {""})
-    return Card(
-        name=name,
-        title=title_of_set(records, scenes),
-        version="1.0",
-        folder=folder,
-        citation="not stated",
-        licence="not stated",
-        homepage="not stated",
-        cfa=cfa,
-        cameras={camera: CameraCard(tuple(sorted(found))) for camera, found in models.items() if camera},
-        counts=counts_of(records),
-        sources=("eldata manifest: roles, ratios and exposures as EXIF and folders say",),
-    )
 
 
 # --- which raws of a folder are clean ---------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 import numpy as np
 
 from eldata.base.fields import shipped_toml
+from eldata.base.numbers import replace_infinities
 from eldata.base.tables import with_error
 from eldata.calibration.flats import PhotonTransfer, PhotonTransferLine, channel_names
 from eldata.calibration.frames import FramesError
@@ -424,19 +425,11 @@ class IsoGain:
             "findings": [asdict(finding) for finding in self.findings],
             "remarks": list(self.all_remarks),
         }
-        return {name: _without_infinities(value) for name, value in data.items()}
+        plain: dict[str, Any] = replace_infinities(data)
+        return plain
 
 
 _GAIN = ("gain_dn_per_e", "K")
-
-
-def _without_infinities(value: Any) -> Any:
-    """Return dictionaries and lists with ``None`` for numbers that are not finite."""
-    if isinstance(value, dict):
-        return {name: _without_infinities(item) for name, item in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [_without_infinities(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -616,7 +609,8 @@ class IsoCalibration(IsoGain):
             "defects": self.pattern.defects,
             "reproduction": None if self.reproduction is None else self.reproduction.as_dict(),
         }
-        return {name: _without_infinities(value) for name, value in data.items()}
+        plain: dict[str, Any] = replace_infinities(data)
+        return plain
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_text
-from eldata.base.numbers import counted
+from eldata.base.numbers import counted, natural
 from eldata.base.tables import Strong
 from eldata.evaluation.comparison import (
     LABELS,
@@ -19,7 +19,6 @@ from eldata.evaluation.comparison import (
     summary_of,
 )
 from eldata.evaluation.looking import ScoredImage, scores_in_order
-from eldata.evaluation.scores import UnitScore, natural
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, mean_gains, short
 from eldata.reports.evaluation import FACTS, Cell, Table, fact_cells, field_text, number_cell
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from eldata.base.workers import Workers
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.results import EvaluationResult
+    from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Difference
     from eldata.plots.axes import Theme
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import special
 
 from eldata.calibration import iso_results as findings
-from eldata.calibration.bias_sums import LAGS
+from eldata.calibration.bias_sums import LAGS, BiasStatistics, BiasSums, ColourBias, LineNoise, RowNoise
 from eldata.calibration.flats import FlatPairs, PhotonTransfer, PhotonTransferLine, straight_line
 from eldata.calibration.iso_results import Finding, IsoCalibration, Quantity, fill_sentence
 from eldata.calibration.residuals import ReadNoise, read_noise
@@ -24,14 +24,7 @@ from eldata.noise.parameters import tukey_lambda_variance
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from eldata.calibration.bias_sums import (
-        BiasStatistics,
-        BiasSums,
-        ColourBias,
-        LineNoise,
-        ResidualHistogram,
-        RowNoise,
-    )
+    from eldata.calibration.bias_sums import ResidualHistogram
     from eldata.calibration.sums import Counts, Mask, Values
 
 # --- bias frames ------------------------------------------------------------------------------------------------------

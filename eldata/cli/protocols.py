@@ -23,15 +23,11 @@ _DIGEST = "sha256:"
 
 def add_options(parser: console.Parser) -> None:
     """Add the options of `eldata protocols`."""
-    parser.add_argument(
-        "protocol",
-        metavar="NAME",
-        nargs="*",
-        help=(
-            "show this one (also: show NAME); a family such as pmn shows its protocols; or a TOML file; or a digest "
-            "such as sha256:092725f8"
-        ),
+    text = (
+        "show this one (also: show NAME); a family such as pmn shows its protocols; or a TOML file; or a digest such "
+        "as sha256:092725f8"
     )
+    parser.add_argument("protocol", metavar="NAME", nargs="*", help=text)
     parser.add_argument("--dataset", metavar="N", help="only those for this dataset")
     console.add_shared(parser, run, json=True)
 

@@ -83,11 +83,7 @@ def layout_path(plan: Plan, scene: str, shot: Shot, suffix: str = "") -> str:
 
 
 def make_dataset(
-    plan: Plan,
-    match: Match,
-    folder: Path | None = None,
-    existing: ExistingSet | None = None,
-    workers: Workers = IN_THIS_PROCESS,
+    plan: Plan, match: Match, folder: Path | None, existing: ExistingSet | None, workers: Workers
 ) -> Dataset:
     """Make the rows of a dataset, with size and SHA-256 of each original.
 

@@ -82,11 +82,7 @@ def calibrate_iso(
 
 
 def bias_pattern(
-    frames: CalibrationFrames,
-    chosen: IsoFrames,
-    workers: Workers = IN_THIS_PROCESS,
-    *,
-    done: Callable[[], object] = lambda: None,
+    frames: CalibrationFrames, chosen: IsoFrames, workers: Workers, done: Callable[[], object]
 ) -> tuple[Sensor, FixedPattern]:
     """Return the sensor, and what stays from frame to frame, of all bias frames of one ISO, each decoded once.
 

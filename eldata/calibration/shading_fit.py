@@ -266,7 +266,7 @@ def dark_shading(
     total = sum(len(chosen[record.iso].bias) for record in usable)
     with tqdm(total=total, desc=f"dark shading {frames.camera}", unit="frame", disable=None, leave=False) as bar:
         for record in usable:
-            sensor, fixed = bias_pattern(frames, chosen[record.iso], threads, done=bar.update)
+            sensor, fixed = bias_pattern(frames, chosen[record.iso], threads, bar.update)
             if fixed.clips_at_black:
                 why = "black is clipped, so the mean of a pixel is not its level"
                 notes.append(f"ISO {record.iso:g} was left out: {why}")

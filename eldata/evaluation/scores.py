@@ -244,10 +244,7 @@ class PaperTable:
 
 
 def grouped_table(
-    groups: Sequence[tuple[str | None, float | None]],
-    names: Sequence[str],
-    texts: Sequence[Sequence[str]],
-    times: str = "x",
+    groups: Sequence[tuple[str | None, float | None]], names: Sequence[str], texts: Sequence[Sequence[str]], times: str
 ) -> PaperTable:
     """Return a row of texts for each group of camera and factor, with the camera's name once."""
     cameras = ["all" if camera is None else camera for camera, _ in groups]

@@ -14,28 +14,16 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
 from capture.camera import ladder
-from capture.check.frames import ReducedFrame, Unit, draw_change, draw_scene, file_name, reduce_frames
-from capture.check.ratio import fit_ratio, measure_brightest, measure_brightness, measure_change
-from capture.check.result import (
-    LIGHT_AGAIN,
-    LIGHT_LOOK,
-    RATIO_AGAIN,
-    RATIO_LOOK,
-    SIGMAS,
-    CheckedGroup,
-    Estimate,
-    find_kind,
-)
-from capture.check.shift import cut_moved_tiles, make_tiles, measure_focus, measure_shift, shift_length
+from capture.check import result as limits
+from capture.check.frames import Cells, ReducedFrame, Unit, draw_change, draw_scene, file_name, reduce_frames
+from capture.check.ratio import RatioFit, fit_ratio, measure_brightest, measure_brightness, measure_change
+from capture.check.result import CheckedGroup, Estimate, MeasureKind, find_kind
+from capture.check.shift import Tiles, cut_moved_tiles, make_tiles, measure_focus, measure_shift, shift_length
 from capture.observed import format_f_number, same_aperture
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.raw.levels import mean_levels, packing_sites, white_remark
 
 if TYPE_CHECKING:
-    from capture.check.frames import Cells
-    from capture.check.ratio import RatioFit
-    from capture.check.result import MeasureKind
-    from capture.check.shift import Tiles
     from eldata.records import Exposure, FrameRecord
 
 _STEPS: Final = (Fraction(1, 3), Fraction(1, 2))
@@ -172,11 +160,11 @@ def _check_pair(
         return
     if nominal is not None:
         advice = _choose_advice(record, ratio, exif_ratio, noisy)
-        kind = _make_ratio_kind("ratio", nominal, RATIO_LOOK, RATIO_AGAIN, advice)
+        kind = _make_ratio_kind("ratio", nominal, limits.RATIO_LOOK, limits.RATIO_AGAIN, advice)
         group.measure(kind, path, ratio, against=against, ratio=_format_number(nominal))
     if exif_ratio is not None:
         again, advice = _judge_exif(record, ratio, _list_dial_ratios(reference.exposure, frame.exposure))
-        kind = _make_ratio_kind("EXIF ratio", exif_ratio, LIGHT_LOOK, again, advice)
+        kind = _make_ratio_kind("EXIF ratio", exif_ratio, limits.LIGHT_LOOK, again, advice)
         group.measure(kind, path, ratio, against=against, ratio=_format_number(exif_ratio))
     changed = measure_change(reference.cells, cells, fit.slope.value, fit.offset_dn)
     # Without an error: only what exceeds eight of them is counted.
@@ -193,7 +181,7 @@ def _measure_black(
     black = stated + fit.black.value * frame.cells.range_dn / cells.range_dn
     words = {"black": f"{black:.1f}".removesuffix(".0"), "stated": f"{stated:g}", "ratio": f"{ratio:.4g}"}
     kind = find_kind("offset")  # a camera's colour bias may come to its limit: beyond it is what surely is
-    kind = replace(kind, look=kind.look + 100 * SIGMAS * off.standard_error)
+    kind = replace(kind, look=kind.look + 100 * limits.SIGMAS * off.standard_error)
     group.measure(kind, frame.record.path, off.in_percent(), **words)
 
 
@@ -229,10 +217,10 @@ def _judge_exif(record: FrameRecord, ratio: Estimate, dial_ratios: list[float]) 
         advice = 'EXIF has the names of ISOs, whose measured speeds are others: amplification="nominal" is the plan\'s'
         return math.inf, advice
     nearest = min(dial_ratios, key=lambda dial: abs(ratio.value - dial), default=math.inf)
-    if abs(ratio.value - nearest) <= max(LIGHT_LOOK * nearest, SIGMAS * ratio.standard_error) < math.inf:
+    if abs(ratio.value - nearest) <= max(limits.LIGHT_LOOK * nearest, limits.SIGMAS * ratio.standard_error) < math.inf:
         advice = "EXIF has the rounded names of the shutter's times: scores of rescaled predictions do not change"
         return math.inf, advice
-    return LIGHT_AGAIN, find_kind("EXIF ratio").advice
+    return limits.LIGHT_AGAIN, find_kind("EXIF ratio").advice
 
 
 def _choose_advice(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction | None, noisy: list[FrameRecord]) -> str:
@@ -248,7 +236,7 @@ def _choose_advice(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction | 
 
 def _fits_ratio(ratio: Estimate, expected: Fraction) -> bool:
     """Check that a ratio is within the tolerance of the expected one."""
-    return abs(ratio.value - float(expected)) <= RATIO_LOOK * float(expected)
+    return abs(ratio.value - float(expected)) <= limits.RATIO_LOOK * float(expected)
 
 
 def _format_number(value: Fraction) -> str:

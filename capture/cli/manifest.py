@@ -38,16 +38,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `capture manifest`."""
     add_plan(parser)
     parser.add_argument("files", metavar="FILES", nargs="+", help="the camera's raw files, or folders of them")
-    add_output(
-        parser,
-        "-o",
-        "--output",
-        beside=[".json"],
-        makes_folder=True,
-        type=_read_table_name,
-        required=True,
-        help="the manifest, such as manifests/mine.csv",
-    )
+    table: dict[str, Any] = {"type": _read_table_name, "help": "the manifest, such as manifests/mine.csv"}
+    add_output(parser, "-o", "--output", beside=[".json"], makes_folder=True, required=True, **table)
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--copy-to", metavar="DIR", help="copy the files to DIR/<camera>/scene-<n>/IMG_<nnnn>.<ext>")
     place.add_argument("--link-to", metavar="DIR", help="the same with hard links, which take no space")

@@ -176,9 +176,8 @@ def add_shared(
 
 def add_cameras(parser: argparse.ArgumentParser) -> None:
     """Add ``--camera`` to a subcommand."""
-    parser.add_argument(
-        "--camera", action="append", dest="cameras", metavar="NAME", help="only this camera; may be repeated"
-    )
+    text = "only this camera; may be repeated"
+    parser.add_argument("--camera", action="append", dest="cameras", metavar="NAME", help=text)
 
 
 @contextmanager

@@ -16,17 +16,10 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
+from eldata.calibration import iso_results
 from eldata.calibration.checks import take_step
-from eldata.calibration.frames import WHOLE, FramesError, check_crop, crop_text, picture_crop, sort_frames
-from eldata.calibration.iso_results import (
-    BLACK,
-    LIGHT,
-    FailedIso,
-    IsoCalibration,
-    IsoGain,
-    check_acceptance,
-    fill_sentence,
-)
+from eldata.calibration.frames import WHOLE, FramesError, IsoFrames, check_crop, crop_text, picture_crop, sort_frames
+from eldata.calibration.iso_results import FailedIso, Finding, IsoCalibration, IsoGain, check_acceptance, fill_sentence
 from eldata.calibration.joint import fit_modes, whole_ranges
 from eldata.calibration.one_iso import calibrate_iso, decodings
 from eldata.calibration.results import Calibration
@@ -39,8 +32,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from eldata.calibration.frames import IsoFrames
-    from eldata.calibration.iso_results import Finding
 
 _LEVELS_APART = 0.001  # of the range
 
@@ -365,14 +356,14 @@ def check_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, 
         if not jumps and abs(mean) <= far:
             return
         stated = float(np.mean(record.sensor.black_level_dn))
-        is_lit = any(finding.check == LIGHT.name for finding in record.findings)
+        is_lit = any(finding.check == iso_results.LIGHT.name for finding in record.findings)
         advice = ": the stated black is probably wrong at this ISO; look it up, and state it where you use the files"
         words = {"own": stated + mean, "stated": stated, "bias": mean, "usual": usual}
         text = fill_sentence("findings.wrong-black", **words, advice="" if is_lit else advice)
         statistics = (moved, limit) if jumps else (abs(mean), far)
         # What other ISOs do not show is drawn with the gain of any (row="any").
-        withheld = ("withheld", BLACK.figures) if jumps and not is_lit else ()
-        yield BLACK.find(*statistics, text, *withheld)
+        withheld = ("withheld", iso_results.BLACK.figures) if jumps and not is_lit else ()
+        yield iso_results.BLACK.find(*statistics, text, *withheld)
 
     return tuple(replace(record, findings=(*record.findings, *find_wrong_black(record))) for record in isos)
 

@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from eldata.base import console
-from eldata.base.console import add_output
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
 
@@ -30,7 +29,7 @@ def add_options(parser: console.Parser) -> None:
     text = "name of a method; once per file, in their order (default: the file's name)"
     parser.add_argument("--name", action="append", default=[], dest="names", metavar="NAME", help=text)
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
-    add_output(parser, "--html", help="write a page with plots and the biggest differences to FILE")
+    console.add_output(parser, "--html", help="write a page with plots and the biggest differences to FILE")
     text = (
         "with --html: draw every common image into the folder FILE-pictures: the part in which the "
         "methods differ most, or all of it; needs the raw files and the predictions"
@@ -72,13 +71,8 @@ def run(arguments: console.Arguments) -> int:
         from eldata.base.workers import Workers
         from eldata.reports.comparison import write_comparison_page
 
-        write_comparison_page(
-            comparison,
-            arguments.html,
-            images=images,
-            whole=arguments.pictures == "whole",
-            workers=Workers(arguments.jobs),
-        )
+        whole, workers = arguments.pictures == "whole", Workers(arguments.jobs)
+        write_comparison_page(comparison, arguments.html, images=images, whole=whole, workers=workers)
         print(f"written: {arguments.html}")
 
     console.show_and_write(arguments, format_text, comparison.as_dict, arguments.html and write_page)
@@ -91,16 +85,10 @@ def _list_images(comparison: Comparison, arguments: console.Arguments) -> tuple[
 
     named: list[Path | None] = [Path(name) for name in arguments.predictions]
     folders = named or [stated_predictions(result) for result in comparison.results.values()]
-    folder, units = units_again(
-        comparison.first,
-        manifest=arguments.manifest and Path(arguments.manifest),
-        root=arguments.root and Path(arguments.root),
+    manifest, root, shading = (
+        name and Path(name) for name in (arguments.manifest, arguments.root, arguments.dark_shading)
     )
-    return images_of(
-        list(comparison.results.values()),
-        comparison.images,
-        dataset_folder=folder,
-        predictions=folders,
-        dark_shading=arguments.dark_shading and Path(arguments.dark_shading).absolute(),
-        units=units,
-    )
+    files, units = units_again(comparison.first, manifest=manifest, root=root)
+    where: dict[str, Any] = {"dataset_folder": files, "predictions": folders, "units": units}
+    shading = shading and shading.absolute()
+    return images_of(list(comparison.results.values()), comparison.images, dark_shading=shading, **where)

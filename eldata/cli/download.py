@@ -34,23 +34,10 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument("dataset", metavar="DATASET", help="a dataset's name; eldata info lists them")
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--yes", action="store_true", help="fetch: you have read the addresses, sizes and licence")
-    source.add_argument(
-        "--from",
-        action="append",
-        default=[],
-        type=Path,
-        dest="archives",
-        metavar="FILE",
-        help="unpack this archive, saved by hand; may be repeated",
-    )
-    parser.add_argument(
-        "--part",
-        action="append",
-        default=[],
-        dest="parts",
-        metavar="NAME",
-        help="only this archive of a dataset that comes in several; may be repeated",
-    )
+    text = "unpack this archive, saved by hand; may be repeated"
+    source.add_argument("--from", action="append", default=[], type=Path, dest="archives", metavar="FILE", help=text)
+    text = "only this archive of a dataset that comes in several; may be repeated"
+    parser.add_argument("--part", action="append", default=[], dest="parts", metavar="NAME", help=text)
     kept = "what has arrived is kept, and the same command goes on from there"
     console.add_shared(parser, run, "root", json=True, interrupted=kept)
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.console import add_output
 from eldata.base.numbers import counted
 from eldata.errors import ArgumentError
 
@@ -26,25 +25,12 @@ if TYPE_CHECKING:
 def add_options(parser: console.Parser) -> None:
     """Add the options of `eldata manifest`."""
     parser.add_argument("folder", metavar="FOLDER", help="the set's own folder, in the folder that holds the datasets")
-    add_output(
-        parser,
-        "-o",
-        "--output",
-        beside=[".json"],
-        required=True,
-        metavar="CSV",
-        help="the new manifest, such as mine.csv; its card becomes mine.json",
-    )
-    parser.add_argument(
-        "--reference",
-        metavar="PATTERN",
-        help="the references' paths below FOLDER, such as '*/clean.dng' or 'long/*', instead of what EXIF says",
-    )
-    parser.add_argument(
-        "--scene",
-        metavar="PATTERN",
-        help="where a scene's name stands in all paths, such as '*/{scene}_*' (default: a scene is a folder)",
-    )
+    text = "the new manifest, such as mine.csv; its card becomes mine.json"
+    console.add_output(parser, "-o", "--output", beside=[".json"], required=True, metavar="CSV", help=text)
+    text = "the references' paths below FOLDER, such as '*/clean.dng' or 'long/*', instead of what EXIF says"
+    parser.add_argument("--reference", metavar="PATTERN", help=text)
+    text = "where a scene's name stands in all paths, such as '*/{scene}_*' (default: a scene is a folder)"
+    parser.add_argument("--scene", metavar="PATTERN", help=text)
     console.add_shared(parser, run, "workers", json=True)
 
 

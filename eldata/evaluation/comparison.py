@@ -11,27 +11,10 @@ from eldata.base.numbers import counted
 from eldata.base.tables import Strong, block, latex_table, markdown_table, markdown_text, table, text_table, wrapped
 from eldata.base.visible import in_line, shown
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation.scores import (
-    PaperTable,
-    UnitScore,
-    factor_text,
-    grouped_table,
-    json_object,
-    list_groups,
-    means,
-    short_digest,
-)
-from eldata.evaluation.statistics import (
-    FEWEST_SCENES,
-    LEVEL,
-    RESAMPLES,
-    SEED,
-    Difference,
-    holm,
-    list_clusters,
-    over_scenes,
-    paired_difference,
-)
+from eldata.evaluation import scores as scoring
+from eldata.evaluation import statistics
+from eldata.evaluation.scores import PaperTable, UnitScore, factor_text, means, short_digest
+from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, Difference, holm, list_clusters, over_scenes
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -206,15 +189,15 @@ class Comparison:
             "warnings": list(self.warnings),
             "statistics": {
                 "level": LEVEL,
-                "resamples": RESAMPLES,
-                "seed": SEED,
+                "resamples": statistics.RESAMPLES,
+                "seed": statistics.SEED,
                 "clusters": ["scene"] if self.first.scenes_shared else ["camera", "scene"],
             },
             "common": [scores[0].path for scores in self.images],
             "groups": [asdict(group) for group in self.groups],
             "contests": [asdict(contest) for contest in self.contests],
         }
-        return json_object(values)
+        return scoring.json_object(values)
 
 
 def compare(results: Mapping[str, EvaluationResult]) -> Comparison:
@@ -265,7 +248,8 @@ def _compare_groups(images: Images, metrics: Sequence[registry.Figure], result: 
     """Average scores and differences to the first method in each group of camera and ratio."""
     names = [metric.name for metric in metrics]
     groups = []
-    for camera, ratio in list_groups([(scores[0].camera, scores[0].ratio) for scores in images], result.dataset):
+    keys = [(scores[0].camera, scores[0].ratio) for scores in images]
+    for camera, ratio in scoring.list_groups(keys, result.dataset):
         members = [
             scores for scores in images if camera in (None, scores[0].camera) and ratio in (None, scores[0].ratio)
         ]
@@ -298,7 +282,7 @@ def _subtract(
 ) -> dict[str, Difference]:
     """Return the differences, the other's scores minus the first's, by the name of the value."""
     return {
-        name: paired_difference(
+        name: statistics.paired_difference(
             [score.values[name] for score in first], [score.values[name] for score in other], places
         )
         for name in names
@@ -390,7 +374,7 @@ def _lay_out(comparison: Comparison, heads: Sequence[str], texts: Sequence[Seque
     """Lay out texts as a table, a row for each group of camera and ratio, with its number of images."""
     counted = [(str(group.images), *cells) for group, cells in zip(comparison.groups, texts, strict=True)]
     groups = [(group.camera, group.ratio) for group in comparison.groups]
-    return grouped_table(groups, (comparison.kind.units, *heads), counted, times)
+    return scoring.grouped_table(groups, (comparison.kind.units, *heads), counted, times)
 
 
 def _mean_texts(group: Group, kind: Kind) -> list[str]:

@@ -18,24 +18,12 @@ from eldata.base.numbers import counted
 from eldata.base.tables import block, csv_text, latex_table, markdown_table, markdown_text, table, text_table, wrapped
 from eldata.base.visible import in_line, shown
 from eldata.errors import ArgumentError, FileError
+from eldata.evaluation import scores as scoring
 from eldata.evaluation.diagnosis import Suspicion
-from eldata.evaluation.scores import (
-    EvaluationProblem,
-    FrameScore,
-    PaperTable,
-    TableRow,
-    UnitScore,
-    csv_number,
-    factor_text,
-    finite_values,
-    grouped_table,
-    json_object,
-    problem_lines,
-    short_digest,
-)
+from eldata.evaluation.scores import EvaluationProblem, FrameScore, Pair, PaperTable, TableRow, UnitScore, short_digest
 from eldata.evaluation.tasks import stated_figure
-from eldata.metrics.registry import CLIPS, IMAGES
-from eldata.protocols.protocol import CHOOSING, NO_SHADING, OF_INPUT, StatedProtocol
+from eldata.metrics.registry import CLIPS, IMAGES, Kind
+from eldata.protocols.protocol import CHOOSING, NO_SHADING, OF_INPUT, Protocol, StatedProtocol
 from eldata.protocols.words import comparability
 
 if TYPE_CHECKING:
@@ -47,12 +35,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from eldata.base.tables import Format
-    from eldata.evaluation.scores import Pair
     from eldata.evaluation.statistics import Interval
-    from eldata.metrics.registry import Kind
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip
-    from eldata.protocols.protocol import Protocol
 
 Record = TypeVar("Record", EvaluationProblem, FrameScore, Suspicion)
 
@@ -236,10 +221,10 @@ class EvaluationResult:
             return PaperTable(tuple(names), (tuple(texts[0]),), (0,))
         cameras = {row.camera for row in rows if row.camera is not None}
         if len(cameras) == 1 and self.provenance.get("cameras", "all") == "all":
-            header = (rows[0].camera or "", *(factor_text(row.ratio, times) for row in rows))
+            header = (rows[0].camera or "", *(scoring.factor_text(row.ratio, times) for row in rows))
             cells = tuple((name, *values) for name, values in zip(names, zip(*texts, strict=True), strict=True))
             return PaperTable(header, cells, (0,), transposed=True)
-        return grouped_table([(row.camera, row.ratio) for row in rows], names, texts, times)
+        return scoring.grouped_table([(row.camera, row.ratio) for row in rows], names, texts, times)
 
     def format(self, form: Format) -> str:
         """Return the result as plain text, or its table in Markdown or LaTeX, ready to be pasted into a document."""
@@ -257,7 +242,7 @@ class EvaluationResult:
 
     def format_text(self) -> str:
         """Return problems, the table with its protocol and coverage, and notes as text."""
-        lines = problem_lines(self.problems)
+        lines = scoring.problem_lines(self.problems)
         if lines and not self.scores:
             return "\n".join([*lines, f"nothing was scored: {counted(len(self.problems), 'problem')}"])
         table = self.paper_table
@@ -319,7 +304,7 @@ class EvaluationResult:
         return [
             Strip(row.camera or "all", row.ratio, values, self.interval(row, name).ends)
             for row in rows
-            if (values := finite_values(self.scores_of(row), name))
+            if (values := scoring.finite_values(self.scores_of(row), name))
         ]
 
     def __repr__(self) -> str:
@@ -333,7 +318,7 @@ class EvaluationResult:
         """Render the table of means for notebooks."""
         cells = self.paper_table
         parts = [table(cells.header, cells.rows, cells.left)] if self.scores else []
-        notes = [*problem_lines(self.problems), *self._remark_lines, self.protocol.title]
+        notes = [*scoring.problem_lines(self.problems), *self._remark_lines, self.protocol.title]
         return block(self.caption, *parts, notes=notes)
 
     # --- files --------------------------------------------------------------------------------------------------------
@@ -351,7 +336,7 @@ class EvaluationResult:
         }
         if self.suspicions:
             result["suspicions"] = [asdict(suspicion) for suspicion in self.suspicions]
-        return json_object(result)
+        return scoring.json_object(result)
 
     def write_json(self, path: Path | str) -> None:
         """Write :meth:`as_dict` as JSON, whole or not at all."""
@@ -361,7 +346,7 @@ class EvaluationResult:
         """Write the scores as CSV with the columns of their kind, every digit, whole or not at all."""
         rows = (score.row(self.kind) for score in self.scores)
         columns = self.kind.columns
-        write_text(path, csv_text(columns, ([csv_number(row[name]) for name in columns] for row in rows)))
+        write_text(path, csv_text(columns, ([scoring.csv_number(row[name]) for name in columns] for row in rows)))
 
 
 def kind_of(kind: Kind, provenance: Mapping[str, Any]) -> Kind:

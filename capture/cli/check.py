@@ -35,8 +35,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.sheet and not arguments.sheet.endswith(".html"):
         raise ArgumentError(f"--sheet {arguments.sheet}: expected a name that ends in .html")
-    cameras = arguments.cameras or ()
-    report = check(arguments.manifest, arguments.root, scenes=arguments.scenes, cameras=cameras, workers=arguments.jobs)
+    report = check(
+        arguments.manifest,
+        arguments.root,
+        scenes=arguments.scenes,
+        cameras=arguments.cameras or (),
+        workers=arguments.jobs,
+    )
 
     def write_pictures() -> None:
         write_sheet(arguments.sheet, report)

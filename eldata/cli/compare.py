@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from eldata.base import console
 from eldata.base.tables import FORMATS
@@ -71,8 +71,13 @@ def run(arguments: console.Arguments) -> int:
         from eldata.base.workers import Workers
         from eldata.reports.comparison import write_comparison_page
 
-        whole, workers = arguments.pictures == "whole", Workers(arguments.jobs)
-        write_comparison_page(comparison, arguments.html, images=images, whole=whole, workers=workers)
+        write_comparison_page(
+            comparison,
+            arguments.html,
+            images=images,
+            whole=arguments.pictures == "whole",
+            workers=Workers(arguments.jobs),
+        )
         print(f"written: {arguments.html}")
 
     console.show_and_write(arguments, format_text, comparison.as_dict, arguments.html and write_page)
@@ -85,10 +90,16 @@ def _list_images(comparison: Comparison, arguments: console.Arguments) -> tuple[
 
     named: list[Path | None] = [Path(name) for name in arguments.predictions]
     folders = named or [stated_predictions(result) for result in comparison.results.values()]
-    manifest, root, shading = (
-        name and Path(name) for name in (arguments.manifest, arguments.root, arguments.dark_shading)
+    folder, units = units_again(
+        comparison.first,
+        manifest=arguments.manifest and Path(arguments.manifest),
+        root=arguments.root and Path(arguments.root),
     )
-    files, units = units_again(comparison.first, manifest=manifest, root=root)
-    where: dict[str, Any] = {"dataset_folder": files, "predictions": folders, "units": units}
-    shading = shading and shading.absolute()
-    return images_of(list(comparison.results.values()), comparison.images, dark_shading=shading, **where)
+    return images_of(
+        list(comparison.results.values()),
+        comparison.images,
+        dataset_folder=folder,
+        predictions=folders,
+        dark_shading=arguments.dark_shading and Path(arguments.dark_shading).absolute(),
+        units=units,
+    )

@@ -78,8 +78,13 @@ def run(arguments: console.Arguments) -> int:
         def write_page() -> None:
             from eldata.reports.evaluation import write_evaluation_page
 
-            where: dict[str, Any] = {"dataset_folder": request.files, "dark_shading": request.dark_shading}
-            write_evaluation_page(result, arguments.html, predictions=request.predictions, **where)
+            write_evaluation_page(
+                result,
+                arguments.html,
+                dataset_folder=request.files,
+                predictions=request.predictions,
+                dark_shading=request.dark_shading,
+            )
 
         console.each_of(
             arguments.json and (lambda: result.write_json(arguments.json)),

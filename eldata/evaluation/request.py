@@ -346,9 +346,12 @@ def _plan_images(request: Request, protocol: Protocol, unscored: bool) -> Scorin
     if unscored and subset is not None:
         alone = unpaired(records, find_subset(subsets, subset))
         records = tuple(replace(record, reference="") for record in alone) or records
-    cameras = (protocol.cameras or None) if request.cameras is None else request.cameras
-    scenes, ratios = protocol.scenes or None, protocol.ratios or None
-    choice = Choice(cameras=cameras, scenes=scenes, ratios=ratios, subset=subset)
+    choice = Choice(
+        cameras=(protocol.cameras or None) if request.cameras is None else request.cameras,
+        scenes=protocol.scenes or None,
+        ratios=protocol.ratios or None,
+        subset=subset,
+    )
     candidates = choice.pairs(records, subsets)
     pairs = replace(choice, exclude_flags=request.exclude_flags).pairs(records, subsets)
     facts = {"subset": subset, "ratios": sorted({float(pair.ratio) for pair in pairs}), "set_aside": set_aside}

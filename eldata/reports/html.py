@@ -15,7 +15,7 @@ import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jinja2
 
@@ -56,10 +56,14 @@ def policy_hash(text: str) -> str:
 @cache
 def _make_environment(templates: Path) -> jinja2.Environment:
     """Make a jinja2 environment that escapes every text and refuses undefined names."""
-    lines: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
-    loader, undefined = jinja2.FileSystemLoader(templates), jinja2.StrictUndefined
     environment = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=undefined, finalize=_make_visible, **lines
+        loader=jinja2.FileSystemLoader(templates),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=_make_visible,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
     )
     filters = (uri, typeset, signed, prose)
     environment.filters |= {function.__name__: function for function in filters}

@@ -47,14 +47,18 @@ def products(prediction: Block, reference: Block, low: float, high: float) -> tu
     sums = np.zeros((2, _STRIP))
     for row in range(rows):
         for start in range(0, columns, _STRIP):
-            ps = prediction[row, start : min(start + _STRIP, columns)]
-            gs = reference[row, start : min(start + _STRIP, columns)]
+            stop = start + _STRIP if start + _STRIP < columns else columns
+            ps, gs = prediction[row, start:stop], reference[row, start:stop]
             for j in range(ps.size):
                 g = np.float64(gs[j])
                 p = clamp(np.float64(ps[j]), low, high) if g != 1.0 else 0.0
                 sums[0, j] += p * g
                 sums[1, j] += p * p
-    return sums[0].sum(), sums[1].sum()
+    of_both, of_prediction = 0.0, 0.0
+    for j in range(_STRIP):
+        of_both += sums[0, j]
+        of_prediction += sums[1, j]
+    return of_both, of_prediction
 
 
 @kernel
@@ -64,12 +68,13 @@ def squared_error(prediction: Block, reference: Block) -> float:
     sums = np.zeros(_STRIP)
     for row in range(rows):
         for start in range(0, columns, _STRIP):
-            ps = prediction[row, start : min(start + _STRIP, columns)]
-            gs = reference[row, start : min(start + _STRIP, columns)]
-            for j in range(ps.size):
-                d = np.float64(ps[j]) - np.float64(gs[j])
+            for j in range(_STRIP if start + _STRIP < columns else columns - start):
+                column = np.uint64(start + j)  # unsigned: the compiler sees that none is negative
+                d = np.float64(prediction[row, column]) - np.float64(reference[row, column])
                 sums[j] += d * d
-    total: float = sums.sum()
+    total = 0.0
+    for j in range(_STRIP):
+        total += sums[j]
     return total
 
 
@@ -100,11 +105,6 @@ def error_and_similarity(
     strips = (width + _STRIP - 1) // _STRIP
     a1 = 2.0 * c1 * AREA * AREA
     a2 = 2.0 * c2 * AREA * degrees
-    sums = np.empty((10, _STRIDE))
-    ring = np.empty((2 * WINDOW, _STRIDE))  # s and d of the last 7 rows
-    s1, d1, s2, d2 = sums[0], sums[1], sums[2], sums[3]  # per column, over those rows
-    s1_3, d1_3, s2_3, d2_3 = sums[4], sums[5], sums[6], sums[7]  # the same over 3 neighbouring columns
-    errors, similarities = sums[8], sums[9]
     error = 0.0
     similarity = 0.0
     for strip in range(strips):
@@ -112,16 +112,19 @@ def error_and_similarity(
         stop = width * (strip + 1) // strips
         inner = stop - start
         outer = inner + _MARGIN
-        sums[:] = 0.0
-        ring[:] = 0.0  # rows before the first count as zero: leaving the window, they take nothing away
+        sums = np.zeros((10, _STRIDE))
+        s1, d1, s2, d2 = sums[0], sums[1], sums[2], sums[3]  # per column, over the last 7 rows
+        s1_3, d1_3, s2_3, d2_3 = sums[4], sums[5], sums[6], sums[7]  # the same over 3 neighbouring columns
+        errors, similarities = sums[8], sums[9]
+        # s and d of those rows. Before the first they count as zero: leaving the window, they take nothing away.
+        ring = np.zeros((2 * WINDOW, _STRIDE))
         for row in range(rows):
             ss = ring[2 * (row % WINDOW)]
             ds = ring[2 * (row % WINDOW) + 1]
-            xs = prediction[row, start : stop + _MARGIN]
-            ys = reference[row, start : stop + _MARGIN]
             for j in range(outer):
-                x = clamp(clamp(np.float64(xs[j]), low, high) * factor, final_low, final_high)
-                y = np.float64(ys[j])
+                column = np.uint64(start + j)
+                x = clamp(clamp(np.float64(prediction[row, column]), low, high) * factor, final_low, final_high)
+                y = np.float64(reference[row, column])
                 s = x + y
                 d = x - y
                 old_s = ss[j]

@@ -13,28 +13,32 @@ import numpy as np
 
 from eldata.base.compiled import helper, in_threads, kernel
 from eldata.noise._random_kernels import (
+    HIGH,
     LAMBDA_FLOOR,
+    MARKS,
+    MEAN,
+    NOISE,
+    NUMBER,
+    OFFSET,
     POWER_TERMS,
     READ,
     ROW,
     SHOT,
-    SHOT_LARGE,
     SHOT_REST,
+    STREAMS,
+    STRIDE,
     STRIP,
+    TAIL,
+    VALUE,
     add_large,
     add_rest,
     add_uniform,
     choose,
-    fetch,
     find_columns,
-    gaussian_draw,
     gaussian_draws,
-    mark_rest,
+    open_streams,
     poisson_tables,
-    split_means,
-    stream,
     tukey_lambda_draws,
-    word_of,
     words,
 )
 from eldata.noise.components import COMPONENTS, packed_rows
@@ -72,9 +76,8 @@ FIGURES = np.dtype(
 PARAMETERS = [name for name in FIGURES.names or () if name in NoiseParameters.__slots__]
 """The figures that are fields of :class:`~eldata.noise.parameters.NoiseParameters`."""
 
-_U4 = np.uint32
 _U8 = np.uint64
-_S32 = _U8(32)
+_ONE = _U8(1)
 _ZERO = np.float32(0)
 
 _PIECE = 1 << 16  # pixels in a band of rows: a fraction of a millisecond
@@ -127,8 +130,8 @@ def expose_compiled(
     figures["low"], figures["high"] = limits
     lambdas = figures["tukey_lambda"][:, 0].tolist()
     powers = [_fit_powers(tuple(lambdas[first : first + under])) for first in range(0, images, under)]
-    dark = np.empty((images, channels, 0, 0), np.float32) if dark is None else dark.view()  # None is compiled again
     planes, size = images * channels, rows * columns
+    dark = np.empty((planes, 0), np.float32) if dark is None else dark.reshape(planes, size)  # None is compiled again
     flat_clean, flat_out = clean.reshape(planes, size), result.reshape(planes, size)
     flat_clean.flags.writeable = dark.flags.writeable = False  # always, or the other kind is compiled again
     record = (
@@ -147,9 +150,9 @@ def expose_compiled(
 
     def fill_piece(piece: tuple[int, int, int, int]) -> None:
         """Add noise to one piece: its first and last plane and row."""
-        entries = np.zeros((3, STRIP), np.uint64)
-        marks = entries[2].view(np.uint8)  # one memory seen in two ways, which takes seconds to compile
-        room = marks, entries, np.empty((7, STRIP), np.uint32), np.empty((6, STRIP), np.float32)
+        entries = np.zeros(4 * STRIDE, np.uint64)
+        marks = entries[MARKS:STREAMS].view(np.uint8)  # one memory seen in two ways, which takes seconds to compile
+        room = marks, entries, np.zeros(7 * STRIDE, np.uint32), np.zeros(6 * STRIDE, np.float32)
         add_noise(*record, *room, channels, columns, *piece)
 
     in_threads(fill_piece, pieces, threads)
@@ -195,92 +198,86 @@ def power_coefficients(shape: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @helper
-def _expect_events(size: int, clean: NDArray[np.float32], events: Any, out: NDArray[np.float32]) -> None:
+def _expect_events(
+    size: Any, clean: NDArray[np.float32], plane: int, begin: Any, events: Any, floats: NDArray[np.float32]
+) -> None:
     """Write the mean number of events; below 0 counts as 0, NaN stays."""
     for j in range(size):
-        mean = clean[j] * events
-        out[j] = _ZERO if mean < _ZERO else mean
+        mean = clean[plane, begin + j] * events
+        floats[MEAN + j] = _ZERO if mean < _ZERO else mean
 
 
 @helper
-def _add_spread(size: int, mean: NDArray[np.float32], normal: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-    """Write the normal limit of Poisson draws: mean + sqrt(mean) times a standard normal draw."""
+def _add_spread(size: Any, floats: NDArray[np.float32]) -> None:
+    """Turn standard normal draws into the normal limit of Poisson draws: mean + sqrt(mean) times a draw."""
     for j in range(size):
-        out[j] = mean[j] + np.sqrt(mean[j]) * normal[j]
-
-
-@helper
-def _compose_noisy(
-    size: int, value: NDArray[np.float32], gain: Any, sigma: Any, noise: NDArray[np.float32],
-    offset: NDArray[np.float32],
-) -> None:  # fmt: skip
-    """Turn events into DN and add the read noise and the offset."""
-    for j in range(size):
-        value[j] = (value[j] * gain + sigma * noise[j]) + offset[j]
-
-
-@helper
-def _compose_noiseless(size: int, value: NDArray[np.float32], gain: Any, offset: NDArray[np.float32]) -> None:
-    """Turn events into DN and add the offset, in place."""
-    for j in range(size):
-        value[j] = value[j] * gain + offset[j]
-
-
-@helper
-def _add_dark(offset: NDArray[np.float32], dark: NDArray[np.float32]) -> None:
-    """Add a row of a dark frame, in DN, to the offset."""
-    for j in range(offset.size):
-        offset[j] += dark[j]
-
-
-@helper
-def _digitise(size: int, value: NDArray[np.float32], black: Any, white: Any, step: Any) -> None:
-    """Round to the converter's steps and to whole DN, black level included, and limit to its range."""
-    for j in range(size):
-        code = np.rint(np.rint((value[j] + black) / step) * step)
-        code = _ZERO if code < _ZERO else code
-        code = white if code > white else code
-        value[j] = code - black
-
-
-@helper
-def _normalise(
-    size: int, value: NDArray[np.float32], out: NDArray[np.float32], scale: Any, low: Any, high: Any
-) -> None:
-    """Normalise DN by ``scale``, and limit to ``low`` and ``high``."""
-    for j in range(size):
-        normalised = value[j] * scale
-        normalised = low if normalised < low else normalised
-        out[j] = high if normalised > high else normalised
+        floats[VALUE + j] = floats[MEAN + j] + math.sqrt(floats[MEAN + j]) * floats[VALUE + j]
 
 
 @helper
 def _lay_offset(
-    offset: NDArray[np.float32], bias: Any, sigma_row: Any, table: NDArray[np.int64], period: int, row: int,
-    start: int, first: Any, second: Any,
+    count: Any, width: Any, integers: NDArray[np.uint32], floats: NDArray[np.float32], entries: NDArray[np.uint64],
+    bias: Any, sigma_row: Any, table: NDArray[np.int64], period: int, channel: int, row: int,
 ) -> None:  # fmt: skip
-    """Write colour bias and row noise of a part of a row, from column ``start`` on, DN; by a stream's two keys."""
-    sub, width = table.shape[0], offset.size
-    for x in range(sub):
-        dn = bias
+    """Write colour bias and row noise of ``count`` parts of rows, DN: a draw for each mosaic row under them, 1 or 2."""
+    sub = table.shape[1]
+    if sigma_row > _ZERO:
+        for draw in range(count * _U8(sub)):
+            y = row + np.int64(draw) // sub
+            mosaic_row = y // sub * period + table[channel, y % sub, np.int64(draw) % sub]
+            words(_ONE, integers, HIGH + draw, entries, ROW, _U8(mosaic_row))
+        gaussian_draws(count * _U8(sub), integers, floats, TAIL)
+    for y in range(count):
+        even, odd = bias, bias
         if sigma_row > _ZERO:
-            mosaic_row = (row // sub) * period + table[row % sub, x]
-            word = word_of(first, second, _U8(mosaic_row))
-            dn = dn + sigma_row * gaussian_draw(_U4(word >> _S32), _U4(word))
-        if sub == 1:
-            for j in range(width):  # assigning to a slice compiles its message about shapes, in two seconds
-                offset[j] = dn
-        else:
-            for j in range((x - start) % sub, width, sub):
-                offset[j] = dn
+            even = bias + sigma_row * floats[TAIL + y * _U8(sub)]
+            odd = bias + sigma_row * floats[TAIL + y * _U8(sub) + _U8(sub - 1)]
+        for j in range(width):
+            floats[OFFSET + y * width + j] = odd if j & _ONE else even
+
+
+@helper
+def _add_dark(size: Any, floats: NDArray[np.float32], dark: NDArray[np.float32], plane: int, begin: Any) -> None:
+    """Add a dark frame, in DN, to the offset."""
+    for j in range(size):
+        floats[OFFSET + j] += dark[plane, begin + j]
+
+
+@helper
+def _compose(size: Any, floats: NDArray[np.float32], gain: Any, sigma: Any) -> None:
+    """Turn events into DN and add the read noise and the offset."""
+    for j in range(size):
+        floats[VALUE + j] = (floats[VALUE + j] * gain + sigma * floats[NOISE + j]) + floats[OFFSET + j]
+
+
+@helper
+def _digitise(size: Any, floats: NDArray[np.float32], black: Any, white: Any, step: Any) -> None:
+    """Round to the converter's steps and to whole DN, black level included, and limit to its range."""
+    for j in range(size):
+        code = np.rint(np.rint((floats[VALUE + j] + black) / step) * step)
+        code = _ZERO if code < _ZERO else code
+        code = white if code > white else code
+        floats[VALUE + j] = code - black
+
+
+@helper
+def _normalise(
+    size: Any, floats: NDArray[np.float32], out: NDArray[np.float32], plane: int, begin: Any, scale: Any, low: Any,
+    high: Any,
+) -> None:  # fmt: skip
+    """Normalise DN by ``scale``, and limit to ``low`` and ``high``."""
+    for j in range(size):
+        normalised = floats[VALUE + j] * scale
+        normalised = low if normalised < low else normalised
+        out[plane, begin + j] = high if normalised > high else normalised
 
 
 @kernel
 def add_noise(
     clean: NDArray[np.float32], out: NDArray[np.float32], components: int, converts: bool, figures: NDArray[np.void],
     power: NDArray[np.float32], dark: NDArray[np.float32], coarse_table: NDArray[np.uint64],
-    fine_table: NDArray[np.uint64], row_table: NDArray[np.int64], period: int, keys: NDArray[np.uint64],
-    places: NDArray[np.uint64], mark: NDArray[np.uint8], entries: NDArray[np.uint64], integers: NDArray[np.uint32],
+    fine_table: NDArray[np.uint64], table: NDArray[np.int64], period: int, keys: NDArray[np.uint64],
+    places: NDArray[np.uint64], marks: NDArray[np.uint8], entries: NDArray[np.uint64], integers: NDArray[np.uint32],
     floats: NDArray[np.float32], channels: int, columns: int, first: int, last: int, first_row: int, last_row: int,
 ) -> None:  # fmt: skip
     """Fill rows ``first_row`` to ``last_row`` of the planes ``first`` to ``last``: all images' channels, one by one.
@@ -289,79 +286,62 @@ def add_noise(
 
     ``clean``, ``out`` (N C, h w); ``components`` the sum of their :data:`BITS`; ``converts`` says whether one rounds;
     ``figures`` (N, C) of :data:`FIGURES`; ``power`` (N, :data:`POWER_TERMS`) the polynomials for (1 - v)^lambda;
-    ``dark`` (N, C, h, w) dark frames above black, DN, of no pixels where there are none; the tables of Poisson draws;
+    ``dark`` (N C, h w) dark frames above black, DN, of no pixels where there are none; the tables of Poisson draws;
     the mosaic's rows under packed ones (packed_rows) and their period; ``keys`` (N,) each image's key, ``places`` (N,)
-    its number under that key. The rest of the arrays is room for strips.
+    its number under that key. The rest of the arrays is room for strips, zero at first.
     """
-    # Whole rows of them, with the number of pixels beside: a slice of each would take a second to compile.
-    coarse_entry, fine_entry, mark_of_8 = entries[0], entries[1], entries[2]
-    high, low, rest_number, dither = integers[0], integers[1], integers[2], integers[3]
-    digits, coarse, fine = integers[4], integers[5], integers[6]
-    mean, value, rest = floats[0], floats[1], floats[2]
-    offset, noise, tail = floats[3], floats[4], floats[5]
     # Whole rows lie side by side: a strip takes as many as it has room for, or short rows would fill no vector.
-    together = STRIP // columns if columns < STRIP else 1
+    together = STRIP // (columns + (columns == 1)) if columns < STRIP else 1  # a row may need two draws
     for plane in range(first, last):
-        image, channel, pixels = plane // channels, plane % channels, clean[plane]
-        figure, powers, under = figures[image, channel], power[image], row_table[channel]
-        frame, key, number = dark[image, channel], keys[image], places[image]
-        shot_1, shot_2 = stream(key, number, SHOT)
-        rest_1, rest_2 = stream(key, number, SHOT_REST)
-        large_1, large_2 = stream(key, number, SHOT_LARGE)
-        read_1, read_2 = stream(key, number, READ)
-        row_1, row_2 = stream(key, number, ROW)
+        image, channel = plane // channels, plane % channels
+        figure = figures[image, channel]
+        open_streams(keys[image], places[image], entries)
         bias = figure.bias_dn if components & B else _ZERO
         sigma_row = figure.sigma_row_dn if components & R else _ZERO
 
         for start in range(0, columns, STRIP):
-            width = STRIP if start + STRIP < columns else columns - start
+            width = _U8(STRIP if start + STRIP < columns else columns - start)
             for row in range(first_row, last_row, together):
                 count = together if together < last_row - row else last_row - row
-                begin, size = row * columns + start, count * width
-                pixel = _U8(channel * pixels.size) + _U8(begin)
-                _expect_events(size, pixels[begin : begin + size], figure.events, mean)
+                begin, size = _U8(row * columns + start), _U8(count) * width
+                pixel = _U8(channel * clean.shape[1]) + begin
+                _expect_events(size, clean, plane, begin, figure.events, floats)
                 if components & (P_STAR | U):
-                    words(size, rest_number, dither, rest_1, rest_2, pixel)
+                    words(size, integers, NUMBER, entries, SHOT_REST, pixel)
+                if components & (P_STAR | P):
+                    words(size, integers, HIGH, entries, SHOT, pixel)
                 if components & P_STAR:
-                    beyond = split_means(size, mean, digits, rest)
-                    words(size, high, low, shot_1, shot_2, pixel)
-                    find_columns(size, high, low, digits, coarse, fine)
-                    fetch(size, coarse, fine, coarse_table, fine_table, coarse_entry, fine_entry)
-                    choose(size, high, low, digits, coarse_entry, fine_entry, value)
-                    mark_rest(size, rest_number, rest, mark)
-                    add_rest(size, mark, mark_of_8, rest_number, rest, value)
+                    beyond = find_columns(size, integers, floats, marks)
+                    choose(size, integers, floats, entries, coarse_table, fine_table)
+                    add_rest(size, integers, floats, marks, entries)
                     if beyond > 0:
-                        add_large(size, mean, value, large_1, large_2, pixel)
+                        add_large(size, floats, entries, pixel)
                 elif components & P:
-                    words(size, high, low, shot_1, shot_2, pixel)
-                    gaussian_draws(size, high, low, noise)
-                    _add_spread(size, mean, noise, value)
+                    gaussian_draws(size, integers, floats, VALUE)
+                    _add_spread(size, floats)
                 else:
                     for j in range(size):
-                        value[j] = mean[j]
+                        floats[VALUE + j] = floats[MEAN + j]
 
-                for place in range(count):
-                    here, of_row = row + place, offset[place * width : (place + 1) * width]
-                    _lay_offset(of_row, bias, sigma_row, under, period, here, start, row_1, row_2)
-                    if frame.size > 0:
-                        _add_dark(of_row, frame[here, start : start + width])
+                _lay_offset(_U8(count), width, integers, floats, entries, bias, sigma_row, table, period, channel, row)
+                if dark.shape[1] > 0:
+                    _add_dark(size, floats, dark, plane, begin)
 
+                sigma = -_ZERO  # times the room's zeros: adding -0 leaves everything as it is
                 if components & (G | G_STAR):
-                    words(size, high, low, read_1, read_2, pixel)
+                    words(size, integers, HIGH, entries, READ, pixel)
                     if components & G:
-                        gaussian_draws(size, high, low, noise)
-                        _compose_noisy(size, value, figure.gain_dn_per_e, figure.sigma_gauss_dn, noise, offset)
+                        sigma = figure.sigma_gauss_dn
+                        gaussian_draws(size, integers, floats, NOISE)
                     else:
-                        tukey_lambda_draws(size, high, low, figure.tukey_lambda, powers, tail, noise)
-                        _compose_noisy(size, value, figure.gain_dn_per_e, figure.sigma_tl_dn, noise, offset)
-                else:
-                    _compose_noiseless(size, value, figure.gain_dn_per_e, offset)
-
+                        sigma = figure.sigma_tl_dn
+                        tukey_lambda_draws(size, integers, floats, figure.tukey_lambda, power, image)
+                _compose(size, floats, figure.gain_dn_per_e, sigma)
                 if components & U:
-                    add_uniform(size, value, dither, figure.quantisation_step_dn)
+                    add_uniform(size, integers, floats, figure.quantisation_step_dn)
                 if converts:
-                    _digitise(size, value, figure.black, figure.white, figure.quantisation_step_dn)
-                _normalise(size, value, out[plane, begin : begin + size], figure.scale, figure.low, figure.high)
+                    _digitise(size, floats, figure.black, figure.white, figure.quantisation_step_dn)
+                _normalise(size, floats, out, plane, begin, figure.scale, figure.low, figure.high)
 
 
 @kernel

@@ -137,22 +137,18 @@ def transpose(source: NDArray[Any], target: NDArray[Any], flip_rows: bool, flip_
     Eight rows are read side by side: as many cache lines as the first cache holds at any distance between rows, and
     eight pixels to write together. Four times as fast as a copy of the transposed view.
     """
-    rows, columns = source.shape
     height, width = target.shape
-    for x in range(0, width - 7, 8):
-        first, step = (rows - 1 - x, -1) if flip_columns else (x, 1)
-        row0, row1, row2, row3 = source[first], source[first + step], source[first + 2 * step], source[first + 3 * step]
-        first += 4 * step
-        row4, row5, row6, row7 = source[first], source[first + step], source[first + 2 * step], source[first + 3 * step]
+    first, down = source.shape[0] - 1 if flip_columns else 0, -1 if flip_columns else 1
+    last = source.shape[1] - 1
+    whole = width - width % 8
+    for x in range(0, whole, 8):
         for y in range(height):
-            column = np.uint64(columns - 1 - y if flip_rows else y)  # unsigned, as above
-            out = target[y, x : x + 8]
-            out[0], out[1], out[2], out[3] = row0[column], row1[column], row2[column], row3[column]
-            out[4], out[5], out[6], out[7] = row4[column], row5[column], row6[column], row7[column]
-    for x in range(width - width % 8, width):
-        row = source[rows - 1 - x if flip_columns else x]
+            column = np.uint64(last - y if flip_rows else y)  # unsigned, as above
+            for k in range(8):
+                target[y, np.uint64(x + k)] = source[np.uint64(first + down * (x + k)), column]
+    for x in range(whole, width):
         for y in range(height):
-            target[y, x] = row[columns - 1 - y if flip_rows else y]
+            target[y, x] = source[first + down * x, last - y if flip_rows else y]
 
 
 @kernel

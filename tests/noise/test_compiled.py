@@ -162,12 +162,20 @@ def _tukey_lambda(words: NDArray[np.uint64], shape: float) -> NDArray[np.float32
     """Ask the kernel for the draws of given words."""
     floor = _random_kernels.LAMBDA_FLOOR
     exponent = np.array([shape if abs(shape) > floor else floor], dtype=np.float32)
-    out = np.empty(words.size, dtype=np.float32)
-    power = _kernels.power_coefficients(exponent)[0]
-    high, low = (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
-    draw: Any = _random_kernels.tukey_lambda_draws
-    kernel(draw.py_func)(out.size, high, low, exponent[0], power, np.empty_like(out), out)
-    return out
+    power = _kernels.power_coefficients(exponent)
+    return _draw_by_strips(_random_kernels.tukey_lambda_draws, words, exponent[0], power, 0)
+
+
+def _draw_by_strips(draw: Any, words: NDArray[np.uint64], *options: object) -> NDArray[np.float32]:
+    """Run a helper over words, as many at a time as its room takes."""
+    compiled: Any = kernel(draw.py_func)
+    integers, floats = (np.zeros((7, _random_kernels.STRIDE), kind) for kind in (np.uint32, np.float32))
+    draws = []
+    for strip in np.split(words, range(_random_kernels.STRIP, words.size, _random_kernels.STRIP)):
+        integers[0, : strip.size], integers[1, : strip.size] = strip >> np.uint64(32), strip
+        compiled(np.uint64(strip.size), integers.ravel(), floats.ravel(), *options)
+        draws.append(floats[_random_kernels.NOISE // _random_kernels.STRIDE, : strip.size].copy())
+    return np.concatenate(draws)
 
 
 def check_tails(draws: NDArray[Any], quantile: Callable[[float], Any]) -> None:
@@ -200,10 +208,7 @@ def test_gaussian_distribution(part: str) -> None:
 
 def test_gaussian_arithmetic_is_accurate_and_reaches_seven_sigma() -> None:
     words = _extreme_words()
-    high, low = (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
-    drawn = np.empty(words.size, dtype=np.float32)
-    draw: Any = _random_kernels.gaussian_draws
-    kernel(draw.py_func)(drawn.size, high, low, drawn)
+    drawn = _draw_by_strips(_random_kernels.gaussian_draws, words, _random_kernels.NOISE)
     u = ((words >> np.uint64(24)).astype(np.float64) + 0.5) * 2.0**-40
     angle = ((words & np.uint64(0xFFFFFF)).astype(np.float64) + 0.5) * 2.0**-24
     radius = np.sqrt(-2 * np.log(u))
@@ -275,6 +280,8 @@ def test_bits_do_not_depend_on_threads_bands_or_batches(monkeypatch: pytest.Monk
         np.testing.assert_array_equal(noisy(clean[:cut].copy(), FULL, key=2**64 - 1), expected[:cut])
     monkeypatch.setattr(_kernels, "_PIECE", 7 * 530)
     np.testing.assert_array_equal(noisy(clean, FULL, key=2**64 - 1), expected)
+    narrow, wide = (noisy(flat(0, (1, 9, 2000, columns)), "R") for columns in (1, 2))  # X-Trans: two draws a row
+    np.testing.assert_array_equal(narrow, wide[..., :1])
 
 
 def test_the_stream_is_frozen() -> None:

@@ -18,7 +18,7 @@ import mmap
 import os
 import struct
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from fractions import Fraction
 from functools import cached_property
@@ -49,7 +49,8 @@ _ISO_BEYOND_16_BITS = 65535  # what EXIF 2.3 puts in 16 bits where the speed is 
 _TIFF_LIKE = (b"IIRO", b"IIRS", b"MMOR", b"IIU\0")
 _RAF = b"FUJIFILMCCD-RAW"
 _RAF_EXTENTS = (84, 92, 100)  # offset and length of the JPEG, the CFA header and the CFA data, big-endian
-_HEAD = 108
+_RAF_SECOND = 120  # of a second CFA header, if the JPEG does not begin before
+_HEAD = 124
 _MRW = b"\0MRM"
 _CR3 = b"ftypcrx "  # after the four bytes of the first box's size
 _CANON_UUID = bytes.fromhex("85c0b687820f11e08111f4ce462b6a48")
@@ -95,7 +96,7 @@ class RawContainer:
 
     @cached_property
     def rows(self) -> StoredRows | None:
-        """Offsets and lengths of the rows of an uncompressed mosaic of a TIFF-based file; None for any other file.
+        """Offsets and lengths of the rows of an uncompressed mosaic of a TIFF-based or RAF file; else None.
 
         Raises
         ------
@@ -104,6 +105,8 @@ class RawContainer:
             less than their rows take, and something else than these rows follows.
         """
         main = self.main
+        if self.head.startswith(_RAF):
+            return _find_raf_rows(self.path, self.head)
         if main is None or not self.is_dng:
             return None if main is None else _find_camera_rows(self.path, main, self.directories)
         is_plain = main.compression == tiff.UNCOMPRESSED
@@ -306,6 +309,7 @@ def _mrw_blocks(path: Path, file: BinaryIO, size: int) -> Iterator[tuple[bytes, 
 
 _MOST_BITS = 16
 _MOST_PADDING = 16  # bytes that a writer may leave so that what follows begins at a whole number of words
+_FUJI_TABLES, _WORD = 1 << 14, 4  # bytes of a RAF's pixels in which their tags stand, and of a word of packed ones
 _NO_TAG, _LONG = 0xFFFF, 4
 _ROWS_TO_KNOW = 48  # of a picture: LibRaw knows no mosaic of some 20 rows
 _PHASES = 24  # rows after which each pattern repeats: of a CFA 2, 4 or 6, of black levels up to 8
@@ -332,6 +336,8 @@ class StoredRows:
         Its strips or tiles, row by row of the image: first row, first byte of a row, offset in the file, bytes.
     remarks
         Says it of byte counts that are too small.
+    word_bytes
+        Of the little-endian words in which packed pixels lie; 1: they follow one another byte by byte.
     """
 
     main: Directory
@@ -340,6 +346,7 @@ class StoredRows:
     block_bytes: int
     blocks: tuple[tuple[int, int, int, int], ...]
     remarks: tuple[str, ...]
+    word_bytes: int = 1
 
     @property
     def are_found(self) -> bool:
@@ -431,6 +438,28 @@ def _find_camera_rows(path: Path, main: Directory, directories: Sequence[Directo
         return _find_rows(path, main, directories, bits)
     except RawFileError:  # whatever they are, LibRaw may know them
         return None
+
+
+def _find_raf_rows(path: Path, head: bytes) -> StoredRows | None:
+    """Find the rows of a RAF's only mosaic: 16 bits, or fewer, packed in words of 32 bits, as its own tags say."""
+    if len(head) < _HEAD:
+        return None
+    jpeg, _, _, _, start = struct.unpack_from(">5I", head, _RAF_EXTENTS[0])
+    if jpeg > _RAF_SECOND and any(head[_RAF_SECOND:]):
+        return None
+    try:
+        with path.open("rb") as file:
+            file.seek(start)
+            _, own = TiffReader(path, io.BytesIO(file.read(_FUJI_TABLES))).read_first(tiff.FUJI_IFD)
+    except RawFileError:  # whatever they are, LibRaw may know them
+        return None
+    values: dict[int, tiff.Numbers] = {tag: (own.number(fuji, 0),) for fuji, tag in tiff.FUJI_TAGS.items()}
+    values[tiff.STRIPS[0]] = (start + values[tiff.STRIPS[0]][0],)
+    rows = _find_camera_rows(path, Directory(values, own.order), ())
+    if rows is None or rows.bits == _MOST_BITS:
+        return rows
+    in_words = rows.row_bytes % _WORD == 0 and (rows.bits == 14 or own.number(tiff.FUJI_WORDS, 0))
+    return replace(rows, word_bytes=_WORD) if in_words else None
 
 
 def _find_rows(path: Path, main: Directory, directories: Sequence[Directory], bits: int) -> StoredRows | None:

@@ -48,8 +48,9 @@ class Layout:
         The file, and what tells it from another one under its name.
     blocks
         Its strips or tiles, as :class:`eldata.raw.container.StoredRows` has them; one if they follow one another.
-    block_bytes, bits, order
-        Of a row of a block; of a pixel, packed from the highest bit on unless they are 16; of the bytes of 16.
+    block_bytes, bits, word_bytes, order
+        Of a row of a block; of a pixel, packed from the highest bit on unless they are 16; of the words that packed
+        ones lie in; of the bytes of 16.
     top, left, height, width
         The visible area.
     stated
@@ -61,6 +62,7 @@ class Layout:
     blocks: tuple[tuple[int, int, int, int], ...]
     block_bytes: int
     bits: int
+    word_bytes: int
     order: Order
     top: int
     left: int
@@ -77,7 +79,8 @@ class Layout:
         values = {tag: main.values[tag] for tag in _OF_DAMAGE if tag in main.values}
         values |= zip(tiff.STRIPS, ((min(main.extents)[0],), (main.held,)), strict=True)
         area = (*corner, *shape)
-        return cls(file.path, file.version, blocks, rows.block_bytes, rows.bits, main.order, *area, Directory(values))
+        stored = rows.block_bytes, rows.bits, rows.word_bytes, main.order
+        return cls(file.path, file.version, blocks, *stored, *area, Directory(values))
 
     def read(self, rows: slice, columns: slice) -> NDArray[np.uint16]:
         """Return a part of the visible area, (rows, columns) in DN, not to be written to.
@@ -114,7 +117,7 @@ class Layout:
                 continue
             target = out[top - first : bottom - first, start - left : stop - left]
             if self.bits != _WHOLE_BITS:
-                unpack_bits(stored[top - y : bottom - y], self.bits, start - x, target)
+                unpack_bits(stored[top - y : bottom - y], self.bits, self.word_bytes - 1, start - x, target)
                 continue
             pixels = stored.view(f"{self.order}u2")[top - y : bottom - y, start - x : stop - x]
             if target.shape == out.shape and offset % 2 == 0:  # it lies in the file as it is

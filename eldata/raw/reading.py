@@ -217,7 +217,7 @@ def read_raw(path: Path | str | StatedFile, decoder: Decoder | None = None) -> R
 
 
 def open_frame(path: Path | StatedFile) -> tuple[RawFrame, Layout | None]:
-    """Open a raw file whose pixels may be left where they are: then they are 0 here, and their layout is returned.
+    """Open a raw file whose pixels may be left where they are: then their layout is returned, and pixels only of a RAF.
 
     A file that is read so is not searched for damage. Raises like :func:`read_raw`.
     """
@@ -247,7 +247,9 @@ def _open_frame(
 def _read_frame(file: RawContainer, decoder: Decoder | None = None, *, prove: bool = False) -> RawFrame:
     """Read a container's mosaic and its sensor's levels and colours; refuse damaged pixels."""
     frame, layout = _open_frame(file, decoder, prove=prove)
-    return frame if layout is None else _examine(file, replace(frame, mosaic=layout.read_whole()))
+    if layout is not None and not frame.mosaic.flags.owndata:
+        frame = replace(frame, mosaic=layout.read_whole())
+    return frame if layout is None else _examine(file, frame)
 
 
 def _examine(file: RawContainer, frame: RawFrame) -> RawFrame:
@@ -258,8 +260,12 @@ def _examine(file: RawContainer, frame: RawFrame) -> RawFrame:
 
 
 def _decode(file: RawContainer, *, short: bool = False) -> tuple[RawFrame, Layout | None]:
-    """Decode a frame by LibRaw, but for its pixels if ``short``, from a copy of few rows; lay out what has rows."""
+    """Decode a frame by LibRaw, but for its pixels if ``short``, from a copy of few rows; lay out what has rows.
+
+    Of a RAF there is no such copy, since LibRaw has its margins by model and whole size: it is decoded.
+    """
     path, main, header, rows = file.path, file.main, file.header, file.rows
+    short = short and main is not None
     first = file.directories[0] if file.directories else tiff.Directory({})
     with open_raw(file, short=short) as raw:
         check_sizes(path, raw)

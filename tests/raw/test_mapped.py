@@ -20,6 +20,7 @@ import tifffile
 from eldata import __version__
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import mapped, read_header, read_raw, reading
+from eldata.raw.container import read_container
 from eldata.raw.damage import check_samples
 from eldata.raw.reading import raw_facts
 from eldata.records import RawFrame
@@ -59,6 +60,39 @@ def written(
     return mosaic
 
 
+def pack_bits(mosaic: NDArray[Any], bits: int) -> NDArray[np.uint8]:
+    ones = (mosaic[:, :, None] >> np.arange(bits)[::-1]) & 1
+    return np.packbits(ones.reshape(len(mosaic), -1).astype(np.uint8), axis=1)
+
+
+def write_raf(
+    path: Path, model: str, shape: tuple[int, int], bits: int, *, is_packed: bool, second: int = 0, words: int = 1
+) -> Any:
+    """A RAF: its own head; EXIF in a JPEG; records of the CFA, big-endian; a directory in a directory of the pixels."""
+    mosaic = random_mosaic(*shape, low=1, high=1 << bits)
+    size = shape[0] - 12, shape[1] - 64
+    exif = struct.pack("<2sHI3H3I9s", b"II", 42, 8, 1, 271, 2, 9, 26, 0, b"FUJIFILM")
+    jpeg = b"\xff\xd8\xff\xe1" + struct.pack(">H", len(exif) + 8) + b"Exif\0\0" + exif + b"\xff\xd9"
+    table = struct.pack("<2xH4s2I", 0x0258, b"WRTS", *size[::-1]).ljust(20004, b"\0")  # as of an X-T2
+    records = {0x100: struct.pack(">2H", *shape), 0x121: struct.pack(">2H", *size), 0x130: b"\1\x0c\0\0"}
+    if model == "X-T2":
+        records[0x131] = bytes(map("RGB".index, "GBGGRGRGRBGBGBGGRGGRGGBGBGBRGRGRGGBG"))
+    records |= {0x2FF0: struct.pack(">4H", 300, 500, 300, 400), 0xC000: table}
+    header = struct.pack(">I", len(records))
+    header += b"".join(struct.pack(">2H", tag, len(value)) + value for tag, value in records.items())
+    stored = pack_bits(mosaic, bits).reshape(-1, 4)[:, ::-1] if is_packed else mosaic
+    tags = {0xF001: shape[1], 0xF002: shape[0], 0xF003: bits, 0xF007: 200, 0xF008: stored.nbytes}
+    tags |= {0xF006: words} if bits == 12 else {}
+    entries = b"".join(struct.pack("<2H2I", tag, 4, 1, tags[tag]) for tag in sorted(tags))
+    outer = struct.pack("<2sHI3H3IH", b"II", 42, 8, 1, 0xF000, 4, 1, 26, 0, len(tags))
+    pixels = (outer + entries).ljust(200, b"\0") + stored.tobytes()
+    places = 148, len(jpeg), 300, len(header), 300 + len(header), len(pixels)
+    head = b"FUJIFILMCCD-RAW 0201FF129502" + model.encode().ljust(32, b"\0")
+    head = head.ljust(84, b"\0") + struct.pack(">6I12xI", *places, second)
+    path.write_bytes((head.ljust(148, b"\0") + jpeg).ljust(300, b"\0") + header + pixels)
+    return mosaic
+
+
 def write_camera(path: Path, model: str, shape: tuple[int, int], bits: int, order: Order, is_packed: bool) -> Any:
     """A camera's own TIFF: 16 bits that call themselves fewer, unless they are packed."""
     mosaic: NDArray[Any] = random_mosaic(*shape, low=1, high=1 << bits)
@@ -67,8 +101,7 @@ def write_camera(path: Path, model: str, shape: tuple[int, int], bits: int, orde
     stored: Any = mosaic
     options: dict[str, Any] = {"photometric": 32803, "metadata": None, "extratags": tags, "byteorder": order}
     if is_packed:  # as bytes: tifffile packs numbers of this order wrongly
-        ones = (mosaic[:, :, None] >> np.arange(bits)[::-1]) & 1
-        stored = np.packbits(ones.reshape(len(mosaic), -1).astype(np.uint8), axis=1)
+        stored = pack_bits(mosaic, bits)
     tifffile.imwrite(path, stored, **options)
     content = bytearray(path.read_bytes())
     with tifffile.TiffFile(path) as tiff:
@@ -132,6 +165,30 @@ def test_cameras(
     mosaic = write_camera(tmp_path / "a.raw", model, shape, bits, order, is_packed)
     visible = check(tmp_path / "a.raw")
     np.testing.assert_array_equal(visible, mosaic[:, margin:][:, : visible.shape[1]])
+
+
+@pytest.mark.parametrize(
+    ("model", "width", "bits", "is_packed", "corner"),
+    [
+        ("X-T2", 6160, 14, False, (6, 0)),
+        ("X-A1", 5120, 14, False, (6, 0)),
+        ("GFX 50R", 9216, 14, True, (0, 0)),
+        ("X-T2", 6160, 14, True, (6, 0)),
+        ("HS10 HS11", 3664, 12, True, (6, 32)),
+    ],
+)
+def test_rafs(model: str, width: int, bits: int, is_packed: bool, corner: tuple[int, int], tmp_path: Path) -> None:
+    mosaic = write_raf(tmp_path / "a.raf", model, (162, width), bits, is_packed=is_packed)
+    top, left = corner
+    visible = check(tmp_path / "a.raf")
+    assert visible.shape[0] == 150
+    np.testing.assert_array_equal(visible, mosaic[top:, left:][:150, : visible.shape[1]])
+
+
+@pytest.mark.parametrize("changes", [{"second": 160}, {"words": 0}], ids=str)
+def test_rafs_that_libraw_reads(changes: dict[str, int], tmp_path: Path) -> None:
+    write_raf(tmp_path / "a.raf", "HS10 HS11", (162, 3664), 12, is_packed=True, **changes)
+    assert read_container(tmp_path / "a.raf").rows is None
 
 
 def test_a_file_of_a_confirmed_form_is_not_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,9 @@ from __future__ import annotations
 import mmap
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
+from importlib.metadata import version
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 
 _WHOLE_BITS = 16
 _OF_DAMAGE = (tiff.PHOTOMETRIC, tiff.COMPRESSION, tiff.HEIGHT, tiff.WIDTH, tiff.ACTIVE_AREA)
+_NOTES = {37500, 50740}  # a maker's: MakerNote, DNGPrivateData
 _MOST_MAPPED = 16  # files of a process, a descriptor each: mapping one again takes a tenth of reading a crop
 
 
@@ -153,7 +156,13 @@ def _map(path: Path, version: tuple[int, ...]) -> mmap.mmap:
 # --- what LibRaw has confirmed ----------------------------------------------------------------------------------------
 
 verdicts: dict[tuple[Any, ...], str] = {}
-"""Of this process, by form: nothing if LibRaw has given the same pixels, else what differs."""
+"""Of this process, by form: nothing if LibRaw has given the same, else what differs."""
+
+
+@cache
+def _find_versions() -> tuple[str, str]:
+    """Find whose pixels are compared, without importing rawpy."""
+    return __version__, version("rawpy")
 
 
 def form_of(file: RawContainer) -> tuple[Any, ...]:
@@ -161,15 +170,53 @@ def form_of(file: RawContainer) -> tuple[Any, ...]:
 
     The versions are in it, since verdicts are pickled with a source of frames, which may be kept.
     """
-    import rawpy
-
     rows = file.rows
     of_several = sum(directory.is_mosaic for directory in file.directories) > 1
     if rows is None or of_several or tiff.LINEARIZATION in rows.main.entries:
         return ()
     main, header = rows.main, file.header
     return (
-        *(__version__, rawpy.libraw_version),
+        *_find_versions(),
         *(header.make, header.model, file.is_dng, main.compression, rows.bits, main.order, main.shape),
         *(rows.block_bytes, rows.are_one_run, len(rows.blocks) > 1),
+    )
+
+
+def form_of_tags(file: RawContainer) -> tuple[Any, ...]:
+    """Describe which tags state all but the pixels, so that LibRaw need not be asked; empty where they do not.
+
+    Of a maker's notes LibRaw takes levels, odd margins it moves, and of a white level it keeps whole DN.
+    """
+    form, main, first = form_of(file), file.main, next(iter(file.directories), Directory({}))
+    if not form or not file.is_dng or main is None:
+        return ()
+    tags = {tag for directory in file.directories for tag in directory.entries}
+    counts = {tiff.COLOUR_MATRICES[0][0]: (first, 9), tiff.AS_SHOT_NEUTRAL: (first, 3), tiff.WHITE_LEVEL: (main, 1)}
+    is_stated = all(len(directory.values.get(tag, ())) == count for tag, (directory, count) in counts.items())
+    letters = main.cfa_letters or ()
+    is_bayer = len(letters) == 2 and sorted("".join(letters)) == [*"BGGR"]
+    if not (is_stated and is_bayer) or tags & _NOTES:
+        return ()
+    odd = (*(side % 2 for side in main.corner()), main.values[tiff.WHITE_LEVEL][0] % 1)
+    if any(odd) or min(first.values[tiff.AS_SHOT_NEUTRAL]) <= 0:
+        return ()
+    return (*form, main.values.get(tiff.ACTIVE_AREA), letters, tuple(sorted(tags)))
+
+
+def answer_by_tags(main: Directory) -> Any:
+    """Give what a DNG's tags state of its mosaic, and what they leave open, under rawpy's names for it."""
+    height, width = main.shape
+    top, left, bottom, right = map(int, main.values.get(tiff.ACTIVE_AREA, (0, 0, height, width)))
+    visible = {"top_margin": top, "left_margin": left, "height": bottom - top, "width": right - left}
+    indices = [["RGB".index(letter) for letter in row] for row in main.cfa_letters or ()]
+    return SimpleNamespace(
+        sizes=SimpleNamespace(raw_height=height, raw_width=width, **visible),
+        color_desc=b"RGB",
+        raw_pattern=indices,
+        raw_color=lambda y, x: indices[(y - top) % 2][(x - left) % 2],
+        black_level_per_channel=(0,) * 3,
+        white_level=main.number(tiff.WHITE_LEVEL, 0),
+        camera_white_level_per_channel=None,
+        camera_whitebalance=(0.0,) * 4,
+        rgb_xyz_matrix=np.zeros((4, 3)),
     )

@@ -9,23 +9,23 @@ import struct
 import subprocess
 import sys
 from dataclasses import fields, replace
+from importlib.metadata import version
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import rawpy
 import tifffile
 
 from eldata import __version__
 from eldata.errors import ArgumentError, RawFileError
-from eldata.raw import mapped, read_header, read_raw, reading
+from eldata.raw import mapped, read_header, read_raw, reading, write_dng
 from eldata.raw.container import read_container
 from eldata.raw.damage import check_samples
 from eldata.raw.reading import raw_facts
 from eldata.records import RawFrame
 from eldata.sources.frames import Files
-from tests.raw.helpers import active_area, random_mosaic, write_plain_dng
+from tests.raw.helpers import BAYER, EXPOSURE, active_area, add_tags, make_sensor, random_mosaic, write_plain_dng
 from tests.raw.test_strips import move_blocks
 
 if TYPE_CHECKING:
@@ -196,10 +196,56 @@ def test_a_file_of_a_confirmed_form_is_not_decoded(tmp_path: Path, monkeypatch: 
     other = written(tmp_path / "b.dng", seed=1)
     read_raw(tmp_path / "a.dng")
     decode = reading._decode
-    monkeypatch.setattr(reading, "_decode", lambda file, *, short: decode(file, short=short))  # never without it
+    monkeypatch.setattr(reading, "_decode", lambda file, way: decode(file, way) if way == "short" else None)
     np.testing.assert_array_equal(read_raw(tmp_path / "b.dng").mosaic, other)
     monkeypatch.setattr(reading, "open_raw", None)
     assert read_header(tmp_path / "b.dng").levels_dn == (0, 65535)
+
+
+@pytest.mark.parametrize("cfa", ["RGGB", "GBRG"])
+@pytest.mark.parametrize(
+    ("tags", "is_asked"),
+    [
+        ([], False),
+        ([active_area(6, 10, 58, 61)], False),
+        ([active_area(7, 10, 58, 61)], True),  # LibRaw's margin is another
+        ([(37500, "B", 8, bytes(8), True)], True),  # a maker's notes
+        ([(50717, "2I", 1, (31999, 2), True)], True),  # white, of which LibRaw keeps whole DN
+        ([(50728, "2I", 4, (1, 2, 1, 1, 1, 2, 1, 1), True)], True),  # a white balance of four colours
+        ([(50714, "2I", 4, (2049, 4, 511, 1, 512, 1, 513, 1), True)], False),
+    ],
+    ids=str,
+)
+def test_libraw_is_not_asked_what_tags_state(
+    tags: list[Any], is_asked: bool, cfa: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in "ab":
+        write_dng(tmp_path / f"{name}.dng", random_mosaic(60, 64), make_sensor(BAYER[cfa], 60, 64), EXPOSURE)
+        add_tags(tmp_path / f"{name}.dng", *tags)
+    check(tmp_path / "a.dng")
+    asked, open_raw = [], reading.open_raw
+
+    def count(*file: Any, **how: Any) -> Any:
+        asked.append(file)
+        return open_raw(*file, **how)
+
+    monkeypatch.setattr(reading, "open_raw", count)
+    check(tmp_path / "b.dng")
+    assert len(asked) == (3 if is_asked else 1)  # of three ways to read it, one by LibRaw
+
+
+def test_a_worker_needs_no_rawpy(tmp_path: Path) -> None:
+    mosaic = random_mosaic(60, 64)
+    write_dng(tmp_path / "a.dng", mosaic, make_sensor(BAYER["RGGB"], 60, 64), EXPOSURE)
+    check(tmp_path / "a.dng")
+    code = (
+        "import pickle, sys; frame = pickle.loads(sys.stdin.buffer.read()).frame(sys.argv[1])\n"
+        "sys.stdout.buffer.write(pickle.dumps((frame.read(slice(3, 5), slice(7, 9)), 'rawpy' in sys.modules)))\n"
+    )
+    run = [sys.executable, "-c", code, str(tmp_path / "a.dng")]
+    part, is_imported = pickle.loads(subprocess.check_output(run, input=pickle.dumps(Files())))
+    np.testing.assert_array_equal(part, mosaic[3:5, 7:9])
+    assert not is_imported
 
 
 @pytest.mark.parametrize("wrong", ["a pixel", "the byte order", "a row"])
@@ -254,7 +300,7 @@ def test_forms_are_confirmed_one_by_one(
         written(tmp_path / "a.dng", byteorder=order)
         check(tmp_path / "a.dng")
     assert len(nothing_is_confirmed) == 2
-    assert all(form[:2] == (__version__, rawpy.libraw_version) for form in nothing_is_confirmed)
+    assert all(form[:2] == (__version__, version("rawpy")) for form in nothing_is_confirmed)
     source = pickle.dumps(Files())
     nothing_is_confirmed.clear()
     pickle.loads(source)  # as a DataLoader sends it to its workers

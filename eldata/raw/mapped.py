@@ -1,6 +1,7 @@
-"""Pixels of an uncompressed mosaic, read from where its container's tags place them: all of them, or a part.
+"""Pixels of a mosaic, read from where its container's tags place them: all of them, or a part.
 
-Nothing is decoded, so that a crop costs what it costs from a memory map. LibRaw has the last word: the first file of a
+Uncompressed ones are not decoded, so that a crop costs what it costs from a memory map; of a DNG's lossless JPEGs those
+are that a part touches. LibRaw has the last word: the first file of a
 form (:func:`form_of`) that a process reads is decoded by it too, and every pixel compared (:mod:`eldata.raw.reading`).
 
 A process keeps the last few files mapped. One that was replaced, cut off or written to since it was opened is refused
@@ -14,12 +15,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.metadata import version
+from multiprocessing import parent_process
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldata import __version__
+from eldata.base.compiled import in_threads
 from eldata.errors import RawFileError
 from eldata.raw import tiff
 from eldata.raw._kernels import unpack_bits
@@ -54,10 +57,13 @@ class Layout:
     block_bytes, bits, word_bytes, order
         Of a row of a block; of a pixel, packed from the highest bit on unless they are 16; of the words that packed
         ones lie in; of the bytes of 16.
+    jpeg_rows
+        Of a tile that is a lossless JPEG; 0 if they are not compressed.
     top, left, height, width
         The visible area.
     stated
-        What the mosaic's directory states that :func:`eldata.raw.damage.check_damage` looks at, its strips as one.
+        What the mosaic's directory states that :func:`eldata.raw.damage.check_damage` looks at; uncompressed strips as
+        one, tiles as strips.
     """
 
     path: Path
@@ -67,6 +73,7 @@ class Layout:
     bits: int
     word_bytes: int
     order: Order
+    jpeg_rows: int
     top: int
     left: int
     height: int
@@ -80,9 +87,11 @@ class Layout:
         if rows.are_one_run:
             blocks = ((0, 0, blocks[0][2], main.shape[0] * rows.row_bytes),)
         values = {tag: main.values[tag] for tag in _OF_DAMAGE if tag in main.values}
-        values |= zip(tiff.STRIPS, ((min(main.extents)[0],), (main.held,)), strict=True)
+        run = (min(main.extents)[0],), (main.held,)
+        values |= zip(tiff.STRIPS, zip(*main.extents, strict=True) if rows.jpeg else run, strict=True)
+        jpeg_rows = main.number(tiff.TILE_HEIGHT, 0) if rows.jpeg else 0
         area = (*corner, *shape)
-        stored = rows.block_bytes, rows.bits, rows.word_bytes, main.order
+        stored = rows.block_bytes, rows.bits, rows.word_bytes, main.order, jpeg_rows
         return cls(file.path, file.version, blocks, *stored, *area, Directory(values))
 
     def read(self, rows: slice, columns: slice) -> NDArray[np.uint16]:
@@ -91,7 +100,7 @@ class Layout:
         Raises
         ------
         RawFileError
-            If the file cannot be read, or is not what it was.
+            If the file cannot be read, is not what it was, or does not decode.
         """
         with _naming(self.path):
             _check_version(self.path, self.version)
@@ -110,23 +119,43 @@ class Layout:
         first, last, _ = rows.indices(self.height)
         left, right, _ = columns.indices(self.width)
         out = np.empty((max(0, last - first), max(0, right - left)), np.uint16)
-        for block_top, block_left, offset, length in self.blocks:
-            stored = np.ndarray((length // self.block_bytes, self.block_bytes), np.uint8, content, offset)
+
+        def copy_block(block: tuple[int, int, int, int]) -> NDArray[np.uint16] | None:
+            """Copy what the part has of a block, or return all of the part, where it lies in it as it is."""
+            block_top, block_left, offset, length = block
             y, x = block_top - self.top, block_left * 8 // self.bits - self.left
             width = self.block_bytes * 8 // self.bits
-            top, bottom = max(first, y), min(last, y + len(stored))
+            top, bottom = max(first, y), min(last, y + (self.jpeg_rows or length // self.block_bytes))
             start, stop = max(left, x), min(right, x + width)
             if top >= bottom or start >= stop:
-                continue
+                return None
             target = out[top - first : bottom - first, start - left : stop - left]
+            if self.jpeg_rows:
+                target[:] = self._decode(content, offset, length)[top - y : bottom - y, start - x : stop - x]
+                return None
+            stored = np.ndarray((length // self.block_bytes, self.block_bytes), np.uint8, content, offset)
             if self.bits != _WHOLE_BITS:
                 unpack_bits(stored[top - y : bottom - y], self.bits, self.word_bytes - 1, start - x, target)
-                continue
+                return None
             pixels = stored.view(f"{self.order}u2")[top - y : bottom - y, start - x : stop - x]
-            if target.shape == out.shape and offset % 2 == 0:  # it lies in the file as it is
+            if target.shape == out.shape and offset % 2 == 0:
                 return pixels.astype(np.uint16, copy=False)
             target[:] = pixels
-        return out
+            return None
+
+        # Worker processes share the CPUs already.
+        parts = in_threads(copy_block, self.blocks, None if self.jpeg_rows and parent_process() is None else 1)
+        return next((part for part in parts if part is not None), out)
+
+    def _decode(self, content: mmap.mmap | NDArray[np.uint8], offset: int, length: int) -> NDArray[Any]:
+        """Decode a lossless JPEG, whose pixels follow one another, whatever its own rows and components."""
+        from imagecodecs import ljpeg_decode
+
+        try:
+            pixels: NDArray[Any] = ljpeg_decode(bytes(content[offset : offset + length]))
+            return pixels.reshape(-1, self.block_bytes * 8 // self.bits)
+        except (RuntimeError, ValueError) as error:
+            raise RawFileError(self.path, f"damaged: its lossless JPEG at byte {offset} does not decode") from error
 
 
 def _check_version(path: Path, version: tuple[int, ...]) -> None:
@@ -178,7 +207,7 @@ def form_of(file: RawContainer) -> tuple[Any, ...]:
     return (
         *_find_versions(),
         *(header.make, header.model, file.is_dng, main.compression, rows.bits, main.order, main.shape),
-        *(rows.block_bytes, rows.are_one_run, len(rows.blocks) > 1),
+        *(rows.block_bytes, rows.are_one_run, len(rows.blocks) > 1, rows.jpeg),
     )
 
 

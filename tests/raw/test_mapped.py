@@ -13,6 +13,7 @@ from importlib.metadata import version
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
+import imagecodecs
 import numpy as np
 import pytest
 import tifffile
@@ -25,7 +26,16 @@ from eldata.raw.damage import check_samples
 from eldata.raw.reading import raw_facts
 from eldata.records import RawFrame
 from eldata.sources.frames import Files
-from tests.raw.helpers import BAYER, EXPOSURE, active_area, add_tags, make_sensor, random_mosaic, write_plain_dng
+from tests.raw.helpers import (
+    BAYER,
+    EXPOSURE,
+    active_area,
+    add_tags,
+    check_refused,
+    make_sensor,
+    random_mosaic,
+    write_plain_dng,
+)
 from tests.raw.test_strips import move_blocks
 
 if TYPE_CHECKING:
@@ -165,6 +175,73 @@ def test_cameras(
     mosaic = write_camera(tmp_path / "a.raw", model, shape, bits, order, is_packed)
     visible = check(tmp_path / "a.raw")
     np.testing.assert_array_equal(visible, mosaic[:, margin:][:, : visible.shape[1]])
+
+
+def encode_jpeg(samples: NDArray[Any], bits: int, predictor: int) -> bytes:
+    """A lossless JPEG (ITU-T T.81, annex H) of samples (rows, columns, components), each category a code of 5 bits."""
+    values = samples.astype(np.int64)
+    around = np.pad(values, ((1, 0), (1, 0), (0, 0)))
+    left, above, corner = around[1:, :-1], around[:-1, 1:], around[:-1, :-1]
+    of_both = left + above - corner, left + ((above - corner) >> 1), above + ((left - corner) >> 1), (left + above) >> 1
+    guess = [left, above, corner, *of_both][predictor - 1].copy()
+    guess[0], guess[:, 0] = left[0], above[:, 0]
+    guess[0, 0] = 1 << (bits - 1)
+    text = ""
+    for value in (((values - guess + 32768) & 65535) - 32768).ravel().tolist():
+        length = abs(value).bit_length()
+        text += f"{length:05b}"
+        if 0 < length < 16:  # -32768 alone has 16, and no bits
+            text += f"{value if value > 0 else value + (1 << length) - 1:0{length}b}"
+    text += "1" * (-len(text) % 8)
+    count = samples.shape[2]
+    segments = {
+        0xC3: struct.pack(">B2HB", bits, *samples.shape) + b"".join(bytes((n, 0x11, 0)) for n in range(count)),
+        0xC4: bytes((0, 0, 0, 0, 0, 17, *bytes(11), *range(17))),
+        0xDA: bytes((count, *sum(((n, 0) for n in range(count)), ()), predictor, 0, 0)),
+    }
+    head = b"".join(struct.pack(">2BH", 255, marker, len(body) + 2) + body for marker, body in segments.items())
+    code = int(text, 2).to_bytes(len(text) // 8, "big").replace(b"\xff", b"\xff\0")
+    return b"\xff\xd8" + head + code + b"\xff\xd9"
+
+
+@pytest.mark.parametrize("predictor", range(1, 8))
+@pytest.mark.parametrize(
+    ("bits", "shape"), [(8, (32, 24, 2)), (10, (32, 48, 1)), (12, (16, 48, 2)), (14, (32, 24, 2)), (16, (32, 16, 3))]
+)
+def test_tiles_of_lossless_jpeg(bits: int, shape: tuple[int, int, int], predictor: int, tmp_path: Path) -> None:
+    """However each spreads its 32 x 48 pixels over rows and components; those at the edges are filled up."""
+    padded = random_mosaic(160, 96, low=1 << (bits - 2), high=1 << (bits - 1), seed=predictor)
+    tiles = [padded[y : y + 32, x : x + 48] for y in range(0, 160, 32) for x in (0, 48)]
+    codes = (encode_jpeg(tile.reshape(shape), bits, predictor) for tile in tiles)
+    options: dict[str, Any] = {"bitspersample": bits} if bits % 8 else {}
+    options |= {"shape": (131, 67), "dtype": np.uint8 if bits == 8 else np.uint16, "tile": (32, 48)}
+    write_plain_dng(tmp_path / "a.dng", codes, ("RG", "GB"), white=(1 << bits) - 1, compression=7, **options)
+    np.testing.assert_array_equal(check(tmp_path / "a.dng"), padded[:131, :67])
+
+
+def test_a_crop_decodes_its_tiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mosaic, decoded, decode = random_mosaic(HEIGHT, WIDTH), [], imagecodecs.ljpeg_decode
+    padded = np.pad(mosaic, ((0, 13), (0, 29)), "symmetric")
+    codes = [encode_jpeg(padded[y : y + 16, x : x + 48, None], 16, 1) for y in range(0, HEIGHT, 16) for x in (0, 48)]
+    options: dict[str, Any] = {"shape": mosaic.shape, "dtype": np.uint16, "compression": 7}
+    write_plain_dng(tmp_path / "a.dng", iter(codes), ("RG", "GB"), tile=(16, 48), **options)
+    frame = Files().frame(str(tmp_path / "a.dng"))
+
+    def count(code: bytes) -> Any:
+        decoded.append(code)
+        return decode(code)
+
+    monkeypatch.setattr(imagecodecs, "ljpeg_decode", count)
+    np.testing.assert_array_equal(frame.read(slice(20, 50), slice(5, 9)), mosaic[20:50, 5:9])
+    assert sorted(decoded) == sorted(codes[2:8:2])
+    content = (tmp_path / "a.dng").read_bytes()
+    (tmp_path / "a.dng").write_bytes(content.replace(codes[2], codes[2][:60].ljust(len(codes[2]), b"\xab")))
+    with pytest.raises(RawFileError, match=r"a\.dng: damaged: its lossless JPEG at byte \d+ does not decode"):
+        Files().frame(str(tmp_path / "a.dng")).read(slice(20, 40), slice(5, 9))
+    write_plain_dng(tmp_path / "a.dng", iter(codes[:9]), ("RG", "GB"), rowsperstrip=16, **options)
+    check_refused(tmp_path / "a.dng", "in 9 strips of lossless JPEG, of which LibRaw decodes the first alone")
+    write_plain_dng(tmp_path / "a.dng", iter(codes[:9]), ("RG", "GB"), tile=(16, 80), **options)
+    check_refused(tmp_path / "a.dng", "whose tiles of lossless JPEG are wider than it")
 
 
 @pytest.mark.parametrize(

@@ -96,11 +96,9 @@ def training_loader(
     (6, torch.Size([4, 4, 64, 64]))
     """
     reading = num_workers, prefetch, start_method, device
-    numbers = None
-    if records_at_a_time is not None:
-        numbers = getattr(dataset, "record_numbers", None)
-        if numbers is None or records_at_a_time < 1:
-            raise ArgumentError(f"records_at_a_time must be 1 or more, of crops of records; found {records_at_a_time}")
+    numbers = None if records_at_a_time is None else getattr(dataset, "record_numbers", None)
+    if records_at_a_time is not None and (numbers is None or records_at_a_time < 1):
+        raise ArgumentError(f"records_at_a_time must be 1 or more, of crops of records; found {records_at_a_time}")
     near = numbers, records_at_a_time or 1
     return _Loader(dataset, batch_size, reading, seed, rank, collate, near, is_training=True)
 

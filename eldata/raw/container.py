@@ -107,7 +107,7 @@ class RawContainer:
         """
         main = self.main
         if self.head.startswith(_RAF):
-            return _find_raf_rows(self.path, self.head)
+            return _find_raf_rows(self.path, self.head) if len(self.head) == _HEAD else None
         if main is None or not self.is_dng:
             return None if main is None else _find_camera_rows(self.path, main, self.directories)
         if main.compression == tiff.JPEG:
@@ -455,8 +455,6 @@ def _find_camera_rows(path: Path, main: Directory, directories: Sequence[Directo
 
 def _find_raf_rows(path: Path, head: bytes) -> StoredRows | None:
     """Find the rows of a RAF's only mosaic: 16 bits, or fewer, packed in words of 32 bits, as its own tags say."""
-    if len(head) < _HEAD:
-        return None
     jpeg, _, _, _, start = struct.unpack_from(">5I", head, _RAF_EXTENTS[0])
     if jpeg > _RAF_SECOND and any(head[_RAF_SECOND:]):
         return None

@@ -184,14 +184,9 @@ def _map(path: Path, version: tuple[int, ...]) -> mmap.mmap:
 
 # --- what LibRaw has confirmed ----------------------------------------------------------------------------------------
 
+_version_of = cache(version)  # which needs no import of rawpy
 verdicts: dict[tuple[Any, ...], str] = {}
 """Of this process, by form: nothing if LibRaw has given the same, else what differs."""
-
-
-@cache
-def _find_versions() -> tuple[str, str]:
-    """Find whose pixels are compared, without importing rawpy."""
-    return __version__, version("rawpy")
 
 
 def form_of(file: RawContainer) -> tuple[Any, ...]:
@@ -205,7 +200,7 @@ def form_of(file: RawContainer) -> tuple[Any, ...]:
         return ()
     main, header = rows.main, file.header
     return (
-        *_find_versions(),
+        *(__version__, _version_of("rawpy")),
         *(header.make, header.model, file.is_dng, main.compression, rows.bits, main.order, main.shape),
         *(rows.block_bytes, rows.are_one_run, len(rows.blocks) > 1, rows.jpeg),
     )

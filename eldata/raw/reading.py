@@ -237,12 +237,11 @@ def _open_frame(
     check_samples(file.path, file.directories)
     form, of_tags = (form_of(file), form_of_tags(file)) if chosen == "mapped" else ((), ())
     unproven = [key for key in (form, of_tags) if key and (prove or key not in verdicts)]
-    if unproven:
-        whole = _decode(file)
-        for key in unproven:
-            found = _compare(file, *whole, "tags" if key == of_tags else "short")
-            verdicts[key] = verdicts.get(key) or found  # one that differs counts for all
-        del whole
+    whole: tuple[RawFrame, Layout | None] | None = None
+    for key in unproven:
+        whole = whole or _decode(file)
+        found = _compare(file, *whole, "tags" if key == of_tags else "short")
+        verdicts[key] = verdicts.get(key) or found  # one that differs counts for all
     verdict = verdicts.get(form)
     way: Way = "whole" if verdict != "" else "tags" if verdicts.get(of_tags) == "" else "short"
     frame, layout = _decode(file, way)

@@ -12,6 +12,7 @@ from dataclasses import fields, replace
 from importlib.metadata import version
 from itertools import product
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 
 import imagecodecs
 import numpy as np
@@ -220,20 +221,15 @@ def test_tiles_of_lossless_jpeg(bits: int, shape: tuple[int, int, int], predicto
 
 
 def test_a_crop_decodes_its_tiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mosaic, decoded, decode = random_mosaic(HEIGHT, WIDTH), [], imagecodecs.ljpeg_decode
+    mosaic, decoded = random_mosaic(HEIGHT, WIDTH), Mock(wraps=imagecodecs.ljpeg_decode)
     padded = np.pad(mosaic, ((0, 13), (0, 29)), "symmetric")
     codes = [encode_jpeg(padded[y : y + 16, x : x + 48, None], 16, 1) for y in range(0, HEIGHT, 16) for x in (0, 48)]
     options: dict[str, Any] = {"shape": mosaic.shape, "dtype": np.uint16, "compression": 7}
     write_plain_dng(tmp_path / "a.dng", iter(codes), ("RG", "GB"), tile=(16, 48), **options)
     frame = Files().frame(str(tmp_path / "a.dng"))
-
-    def count(code: bytes) -> Any:
-        decoded.append(code)
-        return decode(code)
-
-    monkeypatch.setattr(imagecodecs, "ljpeg_decode", count)
+    monkeypatch.setattr(imagecodecs, "ljpeg_decode", decoded)
     np.testing.assert_array_equal(frame.read(slice(20, 50), slice(5, 9)), mosaic[20:50, 5:9])
-    assert sorted(decoded) == sorted(codes[2:8:2])
+    assert sorted(call.args[0] for call in decoded.mock_calls) == sorted(codes[2:8:2])
     content = (tmp_path / "a.dng").read_bytes()
     (tmp_path / "a.dng").write_bytes(content.replace(codes[2], codes[2][:60].ljust(len(codes[2]), b"\xab")))
     with pytest.raises(RawFileError, match=r"a\.dng: damaged: its lossless JPEG at byte \d+ does not decode"):
@@ -300,15 +296,10 @@ def test_libraw_is_not_asked_what_tags_state(
         write_dng(tmp_path / f"{name}.dng", random_mosaic(60, 64), make_sensor(BAYER[cfa], 60, 64), EXPOSURE)
         add_tags(tmp_path / f"{name}.dng", *tags)
     check(tmp_path / "a.dng")
-    asked, open_raw = [], reading.open_raw
-
-    def count(*file: Any, **how: Any) -> Any:
-        asked.append(file)
-        return open_raw(*file, **how)
-
-    monkeypatch.setattr(reading, "open_raw", count)
+    asked = Mock(wraps=reading.open_raw)
+    monkeypatch.setattr(reading, "open_raw", asked)
     check(tmp_path / "b.dng")
-    assert len(asked) == (3 if is_asked else 1)  # of three ways to read it, one by LibRaw
+    assert asked.call_count == (3 if is_asked else 1)  # of three ways to read it, one by LibRaw
 
 
 def test_a_worker_needs_no_rawpy(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import math
 import struct
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import lru_cache
 from typing import IO, TYPE_CHECKING, Literal
 
 from eldata.errors import RawFileError
@@ -369,6 +370,7 @@ def _decode_text(data: bytes) -> str:
         return text.decode("latin-1").strip()
 
 
+@lru_cache(maxsize=128)  # most are the same in all files of a camera
 def _unpack_numbers(order: str, kind: int, data: bytes) -> Numbers | None:
     """Unpack an entry's values; ``None`` if one is a fraction over 0, which says "not known", or not finite."""
     code = _CODES[kind]

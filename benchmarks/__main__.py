@@ -34,6 +34,7 @@ NAMES = (
     ),
     "store",
     "raw_parts",
+    "raw_training",
     "scale",
     "manifest",
     "shading",

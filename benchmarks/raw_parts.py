@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import os
 import tempfile
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import imagecodecs
 import numpy as np
 import rawpy
+import tifffile
 
 from benchmarks import published
 from benchmarks.harness import Row, in_turn, peak_growth_mb
 from benchmarks.store import _copied, _epoch, _every, _loader
 from benchmarks.store_routes import CROP, Lmdb
-from eldata.datasets import ELDDataset, PackedStore
+from eldata.datasets import ELDDataset, PackedStore, training_loader
 from eldata.raw import read_header, read_raw, write_dng
 from eldata.raw.mapped import _map
+from eldata.sources.frames import Files as Sources
 from eldata.sources.store import build_store, source_of_dataset
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
 
     from benchmarks.data import Files
 
@@ -52,6 +58,7 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
         rows += _whole(files, whole, rounds)
         rows += _files(paths[0], rounds)
         rows += _memory(raws, files)
+        rows += _compressed(files, Path(name), rounds)
         return rows + (_loaders(ways, rounds) if cores > 1 else [])
 
 
@@ -128,6 +135,53 @@ def _memory(raws: ELDDataset, files: Files) -> list[Row]:
     ours, theirs = (peak_growth_mb(partial(lambda each: [each[n] for n in range(6)], each)) for each in (raws, decoded))
     spreads = Spread.of([ours]), Spread.of([theirs])
     return [Row("six crop pairs", spreads[0], "lossless JPEG", spreads[1], ours, " MB", expected=theirs)]
+
+
+def _compressed(files: Files, folder: Path, rounds: int) -> list[Row]:
+    """Crops of lossless JPEG: of tiles, and of whole frames that are kept, twice as many pairs as there is room for."""
+    tiled = folder / "tiled.dng"
+    _write_tiles(tiled, read_raw(files.first_pair()[1]).mosaic)
+    one = Sources()
+    frame = one.frame(str(tiled))
+    assert frame.reads_parts
+    generator = np.random.default_rng(0)
+    corners = [(int(generator.integers(1800)), int(generator.integers(3200))) for _ in range(6)]
+    part = {"tiles": lambda: [frame.read(slice(y, y + 1024), slice(x, x + 1024)) for y, x in corners]}
+    ways: dict[str, Callable[[], object]] = {**part, "a whole decode": lambda: [published.decode(tiled)] * 6}
+    rows = [in_turn(rounds, ways, {"tiles": 6}).cost("a crop of 1024 pixels, tiles of 256", "tiles", "a whole decode")]
+    rates: dict[str, float] = {}
+
+    def epoch(way: str, most: int, at_a_time: int | None) -> None:
+        dataset = ELDDataset(files.dataset().root, manifest=files.manifest, crop=CROP, crops_per_frame=8)
+        dataset.source.kept.most = most
+        for _ in training_loader(dataset, 1, num_workers=0, records_at_a_time=at_a_time):
+            pass
+        kept = dataset.source.kept
+        rates[way] = kept.hits / max(1, kept.hits + kept.misses)
+
+    room = 4 * 2 * frame.shape[0] * frame.shape[1]
+    orders = {"two pairs at a time": (room, 2), "all mixed": (room, None), "none kept": (0, None)}
+    epochs = {way: partial(epoch, way, *options) for way, options in orders.items()}
+    timings = in_turn(min(rounds, 2), epochs, dict.fromkeys(epochs, 8 * len(files.dataset())))
+    return rows + [
+        replace(timings.faster("a crop pair, 4 frames kept", way, "none kept"), values=f"{way}: {rates[way]:.0%} hits")
+        for way in list(orders)[:2]
+    ]
+
+
+def _write_tiles(path: Path, mosaic: NDArray[np.uint16], side: int = 256) -> None:
+    """Write a DNG as Adobe's converter does, in square tiles of lossless JPEG."""
+    height, width = mosaic.shape
+    padded = np.pad(mosaic, ((0, -height % side), (0, -width % side)), "edge")
+    tiles = (
+        bytes(imagecodecs.ljpeg_encode(np.ascontiguousarray(padded[y : y + side, x : x + side]), bitspersample=16))
+        for y in range(0, height, side)
+        for x in range(0, width, side)
+    )
+    tags: list[Any] = [(50706, "B", 4, bytes((1, 4, 0, 0)), True), (50707, "B", 4, bytes((1, 1, 0, 0)), True)]
+    tags += [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((0, 1, 1, 2)), True), (272, "s", 0, "Tiles", True)]
+    shape: dict[str, Any] = {"shape": mosaic.shape, "dtype": np.uint16, "tile": (side, side), "compression": 7}
+    tifffile.imwrite(path, tiles, photometric=32803, metadata=None, extratags=tags, **shape)
 
 
 def _loaders(datasets: dict[str, Any], rounds: int) -> list[Row]:

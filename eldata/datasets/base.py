@@ -13,7 +13,7 @@ from eldata.datasets.items import CroppedItems, DrawnItem, Part, keywords_of, ta
 from eldata.manifest.catalogue import FrameFiles, find_manifest
 from eldata.protocols.named import default_protocol
 from eldata.records import Records
-from eldata.sources.frames import Files
+from eldata.sources.frames import KEPT_BYTES, Files
 from eldata.sources.pairs import PairOpener
 
 if TYPE_CHECKING:
@@ -225,9 +225,13 @@ class PairDataset(SourcePairs):
     Notes
     -----
     Frames of different cameras differ in size: with more than one camera use ``batch_size=1``, or crops. Crops of
-    uncompressed raws are read alone. Compressed files are decoded again on each access, in DataLoader workers under
-    fork as under spawn: their crops are read far faster from a store (:class:`~eldata.datasets.packed.PackedStore`).
+    uncompressed raws, and of DNGs in tiles of lossless JPEG, are read alone. Of other files those that were decoded
+    last are kept for the next of several crops (``dataset.source.kept.most`` bytes in all workers of a loader, 512 MB),
+    which :func:`~eldata.datasets.training_loader` puts near each other (``records_at_a_time``); else they are decoded
+    on each access, and read far faster from a store (:class:`~eldata.datasets.packed.PackedStore`).
     """
+
+    source: Files
 
     def __init__(
         self,
@@ -251,6 +255,8 @@ class PairDataset(SourcePairs):
         options["levels"] = levels or default_protocol(loaded.card).frame_levels
         super().__init__(files, records, name=loaded.name, **options)
         self._place = str(self.root)
+        if crops_per_frame > 1 or crops == "grid":
+            files.kept.most = KEPT_BYTES
 
 
 def _kind_of(frame: Frame) -> tuple[object, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -21,7 +20,7 @@ from eldata.noise.model import check_normalised
 from eldata.raw._kernels import scatter_bayer
 from eldata.raw.levels import LEVELS, Levels, check_in_dn, packing_sites, unpack
 from eldata.raw.stated import StatedFile
-from eldata.sources.frames import Files, Frame, FrameSource, Pixels
+from eldata.sources.frames import Files, Frame, FrameSource, KeptFrames, Pixels
 from eldata.sources.store.read import SUFFIXES, Store
 
 if TYPE_CHECKING:
@@ -114,11 +113,11 @@ class CleanFrames:
             raise ArgumentError(f"keep must be 0 or more; found {keep}")
         self.levels: Levels = levels
         self.keep = keep
+        self._kept = KeptFrames(keep)
         if isinstance(source, FrameSource):
             self.origin, self.names = source, tuple(names)
         else:
             self.origin, self.names = _find_frames(source, reference)
-        self._kept: OrderedDict[int, Frame] = OrderedDict()
         self._opened: dict[int, Frame] = {}  # those that read parts: without pixels
 
     @property
@@ -142,16 +141,12 @@ class CleanFrames:
 
     def frame(self, index: int) -> Frame:
         """Return one frame, from memory if it is kept, else newly opened."""
-        if not self.keep:
-            return self.open_frame(index)
-        kept = self._kept.pop(index, None)  # threads may read side by side, and find what another one just took
-        if kept is None:
-            opened = self.open_frame(index)
-            kept = replace(opened, mosaic=opened.whole()) if self.reads_parts or opened.reads_parts else opened
-        self._kept[index] = kept
-        while len(self._kept) > self.keep:
-            self._kept.popitem(last=False)
-        return kept
+        return self._kept.frame(index, partial(self._read, index)) if self.keep else self.open_frame(index)
+
+    def _read(self, index: int) -> Frame:
+        """Read one frame with its pixels."""
+        opened = self.open_frame(index)
+        return replace(opened, mosaic=opened.whole()) if self.reads_parts or opened.reads_parts else opened
 
     def __repr__(self) -> str:
         first = f"first {self.names[0]}, " if self.names else ""

@@ -297,6 +297,13 @@ class CroppedItems(Dataset[Sample], ABC):
         record = bisect_right(self._starts, index) - 1
         return record, index - self._starts[record]
 
+    @property
+    def record_numbers(self) -> NDArray[np.int64]:
+        """Number of the record of each item."""
+        if self._starts is None:
+            return np.arange(len(self)) % self._records_count
+        return np.repeat(np.arange(self._records_count), np.diff(self._starts))
+
     def _indices_of(self, record: int) -> range:
         """Return the indices of the items of a record; of random crops the first one's."""
         return range(record, record + 1) if self._starts is None else range(*self._starts[record : record + 2])

@@ -31,6 +31,7 @@ from eldata.errors import ArgumentError, check_choice
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from numpy.typing import NDArray
     from torch.utils.data import Dataset
 
 # Keep these random numbers apart from each other and from the items', (seed, epoch, index).
@@ -38,6 +39,7 @@ _ORDER, _WORKERS = 1, 2
 
 
 StartMethod = Literal["forkserver", "spawn", "fork"]
+_Near = tuple["NDArray[np.int64] | None", int]
 
 
 def training_loader(
@@ -46,7 +48,7 @@ def training_loader(
     *,
     num_workers: int | None = None, seed: int = 0, device: torch.device | str | None = None, prefetch: int = 2,
     start_method: StartMethod = "forkserver", collate: Callable[[list[Any]], Any] | None = None,
-    rank: Rank | None = None,
+    rank: Rank | None = None, records_at_a_time: int | None = None,
 ) -> DataLoader[Any]:  # fmt: skip
     """Return a DataLoader for training: shuffled again each epoch, as many whole batches on every rank.
 
@@ -76,6 +78,8 @@ def training_loader(
         Instead of torch's default collate.
     rank
         Which process of how many this is; ``None`` asks torch.distributed.
+    records_at_a_time
+        Shuffle the records, and then the crops of so many at a time, for frames that are decoded; ``None``: all crops.
 
     Raises
     ------
@@ -92,7 +96,11 @@ def training_loader(
     (6, torch.Size([4, 4, 64, 64]))
     """
     reading = num_workers, prefetch, start_method, device
-    return _Loader(dataset, batch_size, reading, seed, rank, collate, is_training=True)
+    numbers = None if records_at_a_time is None else getattr(dataset, "record_numbers", None)
+    if records_at_a_time is not None and (numbers is None or records_at_a_time < 1):
+        raise ArgumentError(f"records_at_a_time must be 1 or more, of crops of records; found {records_at_a_time}")
+    near = numbers, records_at_a_time or 1
+    return _Loader(dataset, batch_size, reading, seed, rank, collate, near, is_training=True)
 
 
 def evaluation_loader(
@@ -176,7 +184,7 @@ class _Loader(DataLoader[Any]):
 
     def __init__(
         self, dataset: Any, batch_size: int, reading: _Reading, seed: int, rank: Rank | None,
-        collate: Callable[[list[Any]], Any] | None, *, is_training: bool,
+        collate: Callable[[list[Any]], Any] | None, near: _Near = (None, 1), *, is_training: bool,
     ) -> None:  # fmt: skip
         _, prefetch, start_method, _ = reading
         if batch_size < 1 or prefetch < 1:
@@ -189,7 +197,7 @@ class _Loader(DataLoader[Any]):
         length = _count_items(dataset)
         sampler: Any = range(rank.number, length, rank.of)
         if is_training:
-            sampler = ShuffledSampler(length, seed=self.seed, rank=rank)
+            sampler = ShuffledSampler(length, seed=self.seed, rank=rank, near=near)
         items = len(sampler)
         if is_training:
             if items < batch_size:
@@ -377,11 +385,12 @@ class ShuffledSampler(Sampler[int]):
     """Indices in an order that depends on (seed, epoch); as many for each rank, none twice.
 
     The k-th iteration has the order of epoch k, from 0 on, unless :meth:`set_epoch` was called. Fewer indices than
-    there are ranks are left out, others each epoch.
+    there are ranks are left out, others each epoch. ``near``: the record of each, of which so many are mixed.
     """
 
-    def __init__(self, length: int, *, seed: int, rank: Rank) -> None:
+    def __init__(self, length: int, *, seed: int, rank: Rank, near: _Near = (None, 1)) -> None:
         self.length = length
+        self.near = near
         self.seed = seed
         self.rank = rank
         self.epoch: int | None = None
@@ -399,7 +408,11 @@ class ShuffledSampler(Sampler[int]):
         epoch = self._passes if self.epoch is None else self.epoch
         self._passes += 1
         sequence = purpose_sequence(self.seed, epoch, _ORDER)
-        order = np.random.default_rng(sequence).permutation(self.length)
+        generator, (records, at_a_time) = np.random.default_rng(sequence), self.near
+        order = generator.permutation(self.length)
+        if records is not None:
+            turn = generator.permutation(records.max() + 1)[records] // at_a_time
+            order = order[np.argsort(turn[order], kind="stable")]
         yield from order[self.rank.number :: self.rank.of][self.first : len(self)].tolist()
 
 

@@ -152,17 +152,20 @@ def transpose(source: NDArray[Any], target: NDArray[Any], flip_rows: bool, flip_
 
 
 @kernel
-def unpack_bits(stored: NDArray[np.uint8], bits: int, first: int, out: NDArray[np.uint16]) -> None:
-    """Fill ``out`` with pixels of ``bits`` bits each, highest first, from pixel ``first`` of each row of bytes on."""
+def unpack_bits(stored: NDArray[np.uint8], bits: int, swap: int, first: int, out: NDArray[np.uint16]) -> None:
+    """Fill ``out`` with pixels of ``bits`` bits each, highest first, from pixel ``first`` of each row of bytes on.
+
+    ``swap``: what each byte's place is XORed with: 3 for words of four bytes, the lowest first; 0 for bytes in order.
+    """
     length, mask = stored.shape[1], (1 << bits) - 1
     for y in range(out.shape[0]):
         row = stored[y]
         for x in range(out.shape[1]):
             place = (first + x) * bits
             at = place >> 3
-            value = row[at] << 16  # up to 16 bits lie in three bytes
+            value = row[at ^ swap] << 16  # up to 16 bits lie in three bytes
             if at + 1 < length:
-                value |= row[at + 1] << 8
+                value |= row[(at + 1) ^ swap] << 8
             if at + 2 < length:
-                value |= row[at + 2]
+                value |= row[(at + 2) ^ swap]
             out[y, x] = (value >> (24 - bits - (place & 7))) & mask

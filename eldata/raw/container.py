@@ -18,7 +18,7 @@ import mmap
 import os
 import struct
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from fractions import Fraction
 from functools import cached_property
@@ -30,6 +30,7 @@ import numpy as np
 from eldata.base.numbers import counted
 from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw import tiff
+from eldata.raw.damage import find_stream
 from eldata.raw.levels import cfa_of_letters
 from eldata.raw.tiff import Directory, TiffReader
 from eldata.records import Exposure, RawHeader
@@ -49,7 +50,8 @@ _ISO_BEYOND_16_BITS = 65535  # what EXIF 2.3 puts in 16 bits where the speed is 
 _TIFF_LIKE = (b"IIRO", b"IIRS", b"MMOR", b"IIU\0")
 _RAF = b"FUJIFILMCCD-RAW"
 _RAF_EXTENTS = (84, 92, 100)  # offset and length of the JPEG, the CFA header and the CFA data, big-endian
-_HEAD = 108
+_RAF_SECOND = 120  # of a second CFA header, if the JPEG does not begin before
+_HEAD = 124
 _MRW = b"\0MRM"
 _CR3 = b"ftypcrx "  # after the four bytes of the first box's size
 _CANON_UUID = bytes.fromhex("85c0b687820f11e08111f4ce462b6a48")
@@ -95,7 +97,7 @@ class RawContainer:
 
     @cached_property
     def rows(self) -> StoredRows | None:
-        """Offsets and lengths of the rows of an uncompressed mosaic of a TIFF-based file; None for any other file.
+        """Where the rows of an uncompressed mosaic of a TIFF-based or RAF file lie, or a DNG's JPEG tiles; else None.
 
         Raises
         ------
@@ -104,8 +106,12 @@ class RawContainer:
             less than their rows take, and something else than these rows follows.
         """
         main = self.main
+        if self.head.startswith(_RAF):
+            return _find_raf_rows(self.path, self.head) if len(self.head) == _HEAD else None
         if main is None or not self.is_dng:
             return None if main is None else _find_camera_rows(self.path, main, self.directories)
+        if main.compression == tiff.JPEG:
+            return _find_jpegs(self.path, main)
         is_plain = main.compression == tiff.UNCOMPRESSED
         bits = main.number(tiff.BITS, _MOST_BITS)
         return _find_rows(self.path, main, self.directories, bits) if is_plain else None
@@ -306,6 +312,9 @@ def _mrw_blocks(path: Path, file: BinaryIO, size: int) -> Iterator[tuple[bytes, 
 
 _MOST_BITS = 16
 _MOST_PADDING = 16  # bytes that a writer may leave so that what follows begins at a whole number of words
+_TABLES = 1 << 14  # first bytes of a RAF's pixels, where their tags stand, or of a JPEG, where its tables do
+_WORD = 4  # bytes of a RAF's packed pixels, which lie in it from the highest bit on
+_FEW_TILES = 8
 _NO_TAG, _LONG = 0xFFFF, 4
 _ROWS_TO_KNOW = 48  # of a picture: LibRaw knows no mosaic of some 20 rows
 _PHASES = 24  # rows after which each pattern repeats: of a CFA 2, 4 or 6, of black levels up to 8
@@ -314,7 +323,7 @@ _TILE_TAGS = {tiff.TILE_WIDTH, tiff.TILE_HEIGHT, *tiff.TILES}
 
 @dataclass(frozen=True, slots=True)
 class StoredRows:
-    """Where the rows of an uncompressed mosaic stand, by the offsets of its strips or tiles.
+    """Where the rows of a mosaic stand, by the offsets of its strips or tiles, which are uncompressed or lossless JPEG.
 
     LibRaw takes all strips for one run of bytes that begins where the first does, whatever their offsets and byte
     counts say, and a single tile for rows of the image. :meth:`rearrange` gives it the same file with its rows in one
@@ -332,6 +341,10 @@ class StoredRows:
         Its strips or tiles, row by row of the image: first row, first byte of a row, offset in the file, bytes.
     remarks
         Says it of byte counts that are too small.
+    word_bytes
+        Of the little-endian words in which packed pixels lie; 1: they follow one another byte by byte.
+    jpeg
+        What the first tile states of its code, if each is a lossless JPEG, decoded to 16 bits; else empty.
     """
 
     main: Directory
@@ -340,11 +353,15 @@ class StoredRows:
     block_bytes: int
     blocks: tuple[tuple[int, int, int, int], ...]
     remarks: tuple[str, ...]
+    word_bytes: int = 1
+    jpeg: bytes = b""
 
     @property
     def are_found(self) -> bool:
         """Whether LibRaw finds all rows by itself."""
         tags = self.main.entries.keys()
+        if self.jpeg:
+            return True
         if tiff.TILES[0] in self.main.values:
             return len(self.blocks) > 1 and tiff.STRIPS[0] not in tags
         return not tags & _TILE_TAGS and self.are_one_run
@@ -352,7 +369,8 @@ class StoredRows:
     @property
     def are_one_run(self) -> bool:
         """Whether its blocks are strips that follow one another without a gap."""
-        return self.block_bytes == self.row_bytes and _are_one_run([block[2:] for block in self.blocks])
+        are_strips = self.block_bytes == self.row_bytes and not self.jpeg
+        return are_strips and _are_one_run([block[2:] for block in self.blocks])
 
     def rearrange(self, path: Path, *, short: bool) -> tuple[mmap.mmap, int | None]:
         """Copy the file with its rows, in order, as its only strip, behind all else; if ``short`` a few rows of zeros.
@@ -387,6 +405,8 @@ class StoredRows:
             struct.pack_into(f"{self.main.order}H", copy, self.main.entries[tag][0], _NO_TAG)
         for tag, old, value in zip(tiff.STRIPS, used, (size, length - size), strict=True):
             self._state(copy, old, tag, value)
+        if self.jpeg:
+            self._state(copy, tiff.COMPRESSION, tiff.COMPRESSION, tiff.UNCOMPRESSED)
         return copy, descriptor
 
     def _copy_rows(self, path: Path, image: NDArray[np.uint8]) -> None:
@@ -433,6 +453,47 @@ def _find_camera_rows(path: Path, main: Directory, directories: Sequence[Directo
         return None
 
 
+def _find_raf_rows(path: Path, head: bytes) -> StoredRows | None:
+    """Find the rows of a RAF's only mosaic: 16 bits, or fewer, packed in words of 32 bits, as its own tags say."""
+    jpeg, _, _, _, start = struct.unpack_from(">5I", head, _RAF_EXTENTS[0])
+    if jpeg > _RAF_SECOND and any(head[_RAF_SECOND:]):
+        return None
+    try:
+        with path.open("rb") as file:
+            file.seek(start)
+            _, own = TiffReader(path, io.BytesIO(file.read(_TABLES))).read_first(tiff.FUJI_IFD)
+    except RawFileError:  # whatever they are, LibRaw may know them
+        return None
+    values: dict[int, tiff.Numbers] = {tag: (own.number(fuji, 0),) for fuji, tag in tiff.FUJI_TAGS.items()}
+    values[tiff.STRIPS[0]] = (start + values[tiff.STRIPS[0]][0],)
+    rows = _find_camera_rows(path, Directory(values, own.order), ())
+    if rows is None or rows.bits == _MOST_BITS:
+        return rows
+    in_words = rows.row_bytes % _WORD == 0 and (rows.bits == 14 or own.number(tiff.FUJI_WORDS, 0))
+    return replace(rows, word_bytes=_WORD) if in_words else None
+
+
+def _find_jpegs(path: Path, main: Directory) -> StoredRows | None:
+    """Find the tiles of a mosaic in lossless JPEG; None of few, most of which any crop would take."""
+    extents, fault = main.extents_of(tiff.TILES), ""
+    if not extents and len(main.extents) > 1:
+        fault = f"is a DNG in {len(main.extents)} strips of lossless JPEG, of which LibRaw decodes the first alone"
+    if main.number(tiff.TILE_WIDTH, 0) > main.shape[1]:
+        fault = "is a DNG whose tiles of lossless JPEG are wider than it, which LibRaw takes for rows of its own width"
+    if fault:
+        raise UnusableRawError(path, fault, "convert it with Adobe DNG Converter, or write narrower tiles")
+    if len(extents) < _FEW_TILES:
+        return None
+    try:
+        rows = _find_rows(path, main, (), _MOST_BITS)
+        with path.open("rb") as file:
+            file.seek(extents[0][0])
+            stream = find_stream(file.read(min(extents[0][1], _TABLES)))
+    except (RawFileError, ValueError):  # whatever they are, LibRaw may know them
+        return None
+    return None if rows is None or stream is None else replace(rows, jpeg=stream.code)
+
+
 def _find_rows(path: Path, main: Directory, directories: Sequence[Directory], bits: int) -> StoredRows | None:
     """Find the rows of a mosaic of so many bits a pixel; None if its size or these are not known."""
     height, width = main.shape
@@ -454,8 +515,8 @@ def _find_rows(path: Path, main: Directory, directories: Sequence[Directory], bi
         )
     corners = product(range(0, height, rows), range(0, row_bytes, block_bytes))
     blocks = tuple(
-        (top, left, offset, block_bytes * min(rows, height - top))
-        for (top, left), (offset, _) in zip(corners, extents, strict=True)
+        (top, left, offset, count if main.compression == tiff.JPEG else block_bytes * min(rows, height - top))
+        for (top, left), (offset, count) in zip(corners, extents, strict=True)
     )
     short = [(*block[2:], stated) for block, (_, stated) in zip(blocks, extents, strict=True) if stated < block[3]]
     remarks = _check_short(path, directories, name, short) if short else ()

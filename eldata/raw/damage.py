@@ -98,6 +98,8 @@ class Stream(NamedTuple):
     """Where its codes begin."""
     samples: int
     """Rows times columns times components."""
+    code: bytes
+    """Its bits, components and predictor, as the header has them, without its size."""
     zeros_mean_no_difference: bool
     """Whether zero bits stand for pixels that equal their neighbours, as in clipped areas."""
 
@@ -112,7 +114,7 @@ def find_stream(head: bytes) -> Stream | None:
     """
     if not head.startswith(_SOI):
         return None
-    at, lossless, size, tables = len(_SOI), False, (0, 0, 0), b""
+    at, lossless, size, tables, code = len(_SOI), False, (0, 0, 0), b"", b""
     try:
         while True:
             mark, marker, length = struct.unpack_from(">BBH", head, at)
@@ -120,7 +122,7 @@ def find_stream(head: bytes) -> Stream | None:
             if mark != 0xFF or length < 2 or len(body) != length - 2:
                 raise ValueError(f"has a damaged JPEG header at byte {at}")
             if marker in _FRAMES:
-                lossless, size = marker == _SOF3, struct.unpack_from(">xHHB", body)
+                lossless, size, code = marker == _SOF3, struct.unpack_from(">xHHB", body), body[:1] + body[5:]
             elif marker == _DHT:
                 tables += body
             at += 2 + length
@@ -129,7 +131,7 @@ def find_stream(head: bytes) -> Stream | None:
                     return None
                 first = _first_symbols(tables)
                 used = [first[body[2 + 2 * index] >> 4] for index in range(body[0])]
-                return Stream(at, size[0] * size[1] * size[2], 0 in used)
+                return Stream(at, size[0] * size[1] * size[2], code + body, 0 in used)
     except (struct.error, IndexError, KeyError) as error:
         raise ValueError(f"has a damaged JPEG header at byte {at}") from error
 

@@ -58,7 +58,7 @@ import ctypes
 import mmap
 import os
 import struct
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
@@ -77,7 +77,7 @@ from eldata.raw.colour import neutral_of_white
 from eldata.raw.container import NEEDED, check_container, make_cfa_error, read_container, refuse_unsupported
 from eldata.raw.damage import border_remarks, check_damage, check_samples
 from eldata.raw.levels import cfa_from, cfa_of_letters, packing_sites
-from eldata.raw.mapped import Layout, form_of, verdicts
+from eldata.raw.mapped import Layout, answer_by_tags, form_of, form_of_tags, verdicts
 from eldata.raw.stated import StatedFile
 from eldata.records import D65, RawFrame, Sensor, exact_number
 
@@ -94,6 +94,7 @@ if TYPE_CHECKING:
 
 Decoder = Literal["mapped", "libraw"]
 DECODER_VARIABLE = "ELDATA_DECODER"
+Way = Literal["whole", "short", "tags"]
 
 # By number, DNG specification 1.7.1, chapter 7.
 _OPCODES = (
@@ -217,7 +218,7 @@ def read_raw(path: Path | str | StatedFile, decoder: Decoder | None = None) -> R
 
 
 def open_frame(path: Path | StatedFile) -> tuple[RawFrame, Layout | None]:
-    """Open a raw file whose pixels may be left where they are: then they are 0 here, and their layout is returned.
+    """Open a raw file whose pixels may be left where they are: then their layout is returned, and pixels only of a RAF.
 
     A file that is read so is not searched for damage. Raises like :func:`read_raw`.
     """
@@ -234,12 +235,16 @@ def _open_frame(
     check_choice("decoder" if decoder else DECODER_VARIABLE, chosen, get_args(Decoder))
     remarks = _container_remarks(file)
     check_samples(file.path, file.directories)
-    form = form_of(file) if chosen == "mapped" else ()
-    if form and (prove or form not in verdicts):
-        found = _compare(file)
-        verdicts[form] = verdicts.get(form) or found  # one that differs counts for all
+    form, of_tags = (form_of(file), form_of_tags(file)) if chosen == "mapped" else ((), ())
+    unproven = [key for key in (form, of_tags) if key and (prove or key not in verdicts)]
+    whole: tuple[RawFrame, Layout | None] | None = None
+    for key in unproven:
+        whole = whole or _decode(file)
+        found = _compare(file, *whole, "tags" if key == of_tags else "short")
+        verdicts[key] = verdicts.get(key) or found  # one that differs counts for all
     verdict = verdicts.get(form)
-    frame, layout = _decode(file, short=verdict == "")
+    way: Way = "whole" if verdict != "" else "tags" if verdicts.get(of_tags) == "" else "short"
+    frame, layout = _decode(file, way)
     frame = replace(frame, remarks=remarks + ((verdict,) if verdict else ()))
     return (frame, layout) if verdict == "" else (_examine(file, frame), None)
 
@@ -247,7 +252,9 @@ def _open_frame(
 def _read_frame(file: RawContainer, decoder: Decoder | None = None, *, prove: bool = False) -> RawFrame:
     """Read a container's mosaic and its sensor's levels and colours; refuse damaged pixels."""
     frame, layout = _open_frame(file, decoder, prove=prove)
-    return frame if layout is None else _examine(file, replace(frame, mosaic=layout.read_whole()))
+    if layout is not None and not frame.mosaic.flags.owndata:
+        frame = replace(frame, mosaic=layout.read_whole())
+    return frame if layout is None else _examine(file, frame)
 
 
 def _examine(file: RawContainer, frame: RawFrame) -> RawFrame:
@@ -257,15 +264,22 @@ def _examine(file: RawContainer, frame: RawFrame) -> RawFrame:
     return replace(frame, remarks=frame.remarks + border_remarks(frame.mosaic))
 
 
-def _decode(file: RawContainer, *, short: bool = False) -> tuple[RawFrame, Layout | None]:
-    """Decode a frame by LibRaw, but for its pixels if ``short``, from a copy of few rows; lay out what has rows."""
+def _decode(file: RawContainer, way: Way = "whole") -> tuple[RawFrame, Layout | None]:
+    """Decode a frame and lay out what has rows.
+
+    By LibRaw; ``"short"``: but for its pixels, from a copy of few rows; ``"tags"``: so, and of what a DNG states alone.
+    Of a RAF there is no short copy, since LibRaw has its margins by model and whole size: it is decoded.
+    """
     path, main, header, rows = file.path, file.main, file.header, file.rows
+    short = way == "short" and main is not None
     first = file.directories[0] if file.directories else tiff.Directory({})
-    with open_raw(file, short=short) as raw:
+    by_tags = nullcontext(answer_by_tags(main)) if way == "tags" and main is not None else None
+    with by_tags or open_raw(file, short=short) as raw:
         check_sizes(path, raw)
         if main is None:
             check_one_image(path)
-        _unpack(file, raw)
+        if by_tags is None:
+            _unpack(file, raw)
         cfa, index_of = visible_cfa(path, raw, main)
         black, white = tuple(float(raw.black_level_per_channel[index]) for index in index_of), float(raw.white_level)
         if main is not None and file.is_dng:
@@ -277,23 +291,22 @@ def _decode(file: RawContainer, *, short: bool = False) -> tuple[RawFrame, Layou
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
         matrix, illuminant = camera_matrix(raw, first)
         balance = as_shot_multipliers(raw, first)
-        mosaic, whites = raw.raw_image_visible, channel_whites(raw, index_of)
-        height, width = mosaic.shape
+        whites, height, width = channel_whites(raw, index_of), raw.sizes.height, raw.sizes.width
         height += rows.main.shape[0] - raw.sizes.raw_height if short and rows is not None else 0
         corner = raw.sizes.top_margin, raw.sizes.left_margin
-        mosaic = np.broadcast_to(np.uint16(0), (height, width)) if short else mosaic.copy()
+        is_left = by_tags is not None or short
+        mosaic = np.broadcast_to(np.uint16(0), (height, width)) if is_left else raw.raw_image_visible.copy()
     layout = None if rows is None else Layout.of(file, rows, corner, (height, width))
     sensor = Sensor(header.make, header.model, cfa, black, white, height, width, balance, matrix, illuminant)
     noise = _read_noise_profile(main or first, first) if file.is_dng else None
     return RawFrame(path, mosaic, sensor, header.exposure, whites, (), header.orientation, noise), layout
 
 
-def _compare(file: RawContainer) -> str:
+def _compare(file: RawContainer, whole: RawFrame, place: Layout | None, way: Way) -> str:
     """Compare a file as it is mapped with what LibRaw decodes: what differs, or nothing."""
     begin = "its pixels are decoded by LibRaw, not read where its tags place them: "
-    whole, place = _decode(file)
     try:
-        mapped, layout = _decode(file, short=True)
+        mapped, layout = (whole, place) if file.main is None else _decode(file, way)
         pixels = mapped.mosaic if layout is None else layout.read_whole()
     except RawFileError as error:
         return f"{begin}there, {error.reason}"

@@ -13,6 +13,7 @@ import math
 import struct
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import lru_cache
 from typing import IO, TYPE_CHECKING, Literal
 
 from eldata.errors import RawFileError
@@ -52,6 +53,9 @@ MAKE, MODEL, UNIQUE_MODEL, ORIENTATION, SOFTWARE, NOISE_PROFILE = 271, 272, 5070
 EXPOSURE_TIME, F_NUMBER, TAKEN, TAKEN_FRACTION = 33434, 33437, 36867, 37521
 ISO, SENSITIVITY_TYPE, OUTPUT_SENSITIVITY, EXPOSURE_INDEX, ISO_SPEED = 34855, *range(34864, 34868)
 PANASONIC, PANASONIC_ISOS = 1, (55, 23)  # in a Panasonic's first directory
+FUJI_IFD, FUJI_WORDS = 0xF000, 0xF006  # the directory of a RAF's pixels; in it, whether packed ones lie in words
+FUJI_TAGS = {0xF001: WIDTH, 0xF002: HEIGHT, 0xF003: BITS, 0xF007: STRIPS[0], 0xF008: STRIPS[1]}
+"""Tags of a RAF's pixels, and those of TIFF that mean the same."""
 
 MOST_PIXELS = 8
 """That a byte of image data can hold: no lossless code of noise takes less than one bit."""
@@ -67,7 +71,7 @@ _READ = {
     *(AS_SHOT_NEUTRAL, AS_SHOT_WHITE_XY, *COLOUR_MATRICES[0], *COLOUR_MATRICES[1], *CALIBRATIONS),
     *(ANALOG_BALANCE, *SIGNATURES, MAKE, MODEL, UNIQUE_MODEL, EXPOSURE_TIME, F_NUMBER, TAKEN, TAKEN_FRACTION),
     *(ISO, SENSITIVITY_TYPE, OUTPUT_SENSITIVITY, EXPOSURE_INDEX, ISO_SPEED, *PANASONIC_ISOS, *STRIPS, *TILES),
-    *(ORIENTATION, SOFTWARE, NOISE_PROFILE),
+    *(ORIENTATION, SOFTWARE, NOISE_PROFILE, FUJI_IFD, FUJI_WORDS, *FUJI_TAGS),
 }
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
@@ -278,10 +282,10 @@ class TiffReader:
             waiting += [following, *reversed(within)]
         return tuple(directories)
 
-    def read_first(self) -> tuple[Directory, Directory]:
-        """Read the first directory and the EXIF directory that it names; empty ones where there are none."""
+    def read_first(self, tag: int = EXIF_IFD) -> tuple[Directory, Directory]:
+        """Read the first directory and one that it names, that of EXIF or another; empty ones where there are none."""
         first = self._read(self._first)[0] if self._first else Directory({})
-        at = first.number(EXIF_IFD, 0)
+        at = first.number(tag, 0)
         return first, self._read(at)[0] if at else Directory({})
 
     def _require(self, end: int) -> None:
@@ -366,6 +370,7 @@ def _decode_text(data: bytes) -> str:
         return text.decode("latin-1").strip()
 
 
+@lru_cache(maxsize=128)  # most are the same in all files of a camera
 def _unpack_numbers(order: str, kind: int, data: bytes) -> Numbers | None:
     """Unpack an entry's values; ``None`` if one is a fraction over 0, which says "not known", or not finite."""
     code = _CODES[kind]

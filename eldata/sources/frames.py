@@ -8,9 +8,11 @@ multiplied is one matter, for all sources (:mod:`eldata.datasets.items`); where 
 from __future__ import annotations
 
 import os
+from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, get_args, runtime_checkable
 
 import numpy as np
@@ -20,6 +22,7 @@ from eldata.base.compiled import scratch
 from eldata.errors import ArgumentError, DatasetError, FileError, check_choice
 from eldata.manifest.catalogue import FrameFiles, known_names
 from eldata.manifest.patterns import find_elsewhere, is_png
+from eldata.raw.container import version_of
 from eldata.raw.levels import (
     CLIP_RANGES,
     check_in_dn,
@@ -32,7 +35,7 @@ from eldata.raw.levels import (
 from eldata.records import Exposure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -46,6 +49,8 @@ if TYPE_CHECKING:
     from eldata.records import FrameRecord, PairRecord, RawFrame, Sensor
 
 RGB_WHITE = 65535.0
+KEPT_BYTES = 512 * 10**6
+"""Of decoded frames that are kept for the next crops of them, in all workers of a DataLoader together."""
 
 
 class Pixels(NamedTuple):
@@ -247,6 +252,48 @@ class Frame:
         return self.read(slice(None), slice(None)).copy()
 
 
+class KeptFrames:
+    """The frames that were used last, in memory; not in what is pickled. Threads may ask side by side.
+
+    Parameters
+    ----------
+    most
+        How many, or how many bytes of them if ``in_bytes``.
+    in_bytes
+        Which of both.
+
+    Attributes
+    ----------
+    hits, misses
+        How often a frame was there, and how often it was opened.
+    """
+
+    def __init__(self, most: int, *, in_bytes: bool = False) -> None:
+        self.most, self.in_bytes = most, in_bytes
+        self.hits = self.misses = 0
+        self._frames: OrderedDict[Hashable, Frame] = OrderedDict()
+        self._lock = Lock()
+
+    def frame(self, key: Hashable, open_frame: Callable[[], Frame], sharers: int = 1) -> Frame:
+        """Return the frame of a key, opened if it is not there; processes that share the memory keep less each."""
+        with self._lock:
+            frame = self._frames.pop(key, None)
+        self.hits, self.misses = self.hits + (frame is not None), self.misses + (frame is None)
+        frame = open_frame() if frame is None else frame
+        with self._lock:
+            self._frames[key] = frame
+            while sum(map(self._weigh, self._frames.values())) > self.most // sharers:
+                self._frames.popitem(last=False)
+        return frame
+
+    def _weigh(self, frame: Frame) -> int:
+        """Return what a frame counts."""
+        return getattr(frame.mosaic, "nbytes", 0) if self.in_bytes else 1
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(KeptFrames, in_bytes=self.in_bytes), (self.most,)
+
+
 def _read_mapped(layout: Layout, sensor: Sensor, rows: slice, columns: slice) -> NDArray[np.uint16]:
     """Read a part of a raw file's frame; of a whole frame, refuse one that shows damage."""
     from eldata.raw.damage import check_damage
@@ -321,9 +368,10 @@ class Files:
         self._files = FrameFiles(files) if isinstance(files, Path) else files or {}
         self.records = tuple(records)
         self._card = card
+        self.kept = KeptFrames(0, in_bytes=True)
 
     def frame(self, path: str) -> Frame:
-        """Open a file, which decodes it unless it is mapped.
+        """Open a file, which decodes it unless it is mapped, or is kept and still the same.
 
         Raises
         ------
@@ -332,9 +380,18 @@ class Files:
         DatasetError
             If the set's folder, or that of its camera, is missing, or the file lies elsewhere in it.
         """
+        file = self._find_file(path)
+        if not self.kept.most or not isinstance(file, Path) or not file.exists():
+            return self._open(path, file)
+        from torch.utils.data import get_worker_info
+
+        key, info = (path, version_of(file.stat())), get_worker_info()
+        return self.kept.frame(key, partial(self._open, path, file), 1 if info is None else info.num_workers)
+
+    def _open(self, path: str, file: Path | StatedFile) -> Frame:
+        """Open a file; raises like :meth:`frame`."""
         from eldata.raw.reading import open_frame
 
-        file = self._find_file(path)
         try:
             if is_png(path) and isinstance(file, Path):
                 return Frame.of_rgb(read_rgb16(file).transpose(2, 0, 1), str(file))

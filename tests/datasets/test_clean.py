@@ -85,7 +85,7 @@ def test_the_frames_last_used_are_kept(folder: Path) -> None:
     source.frame(2)
     assert source.frame(0) is first
     assert source.frame(1) is not second
-    assert len(source._kept) == 2
+    assert len(source._kept._frames) == 2
 
 
 @in_one_test(

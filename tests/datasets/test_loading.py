@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from torch.utils.data import DataLoader, Dataset, IterableDataset, Subset
 
 from eldata import PackedStore
-from eldata.datasets import loading
+from eldata.datasets import ELDDataset, loading
 from eldata.datasets.loading import (
     Rank,
     ShuffledSampler,
@@ -31,6 +31,8 @@ from eldata.errors import ArgumentError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from tests.trees import Tree
 
 
 def pairs(store: Path, **options: Any) -> PackedStore:
@@ -62,6 +64,26 @@ def test_every_item_is_evaluated_exactly_once(length: int, ranks: int, batch: in
     assert all(part == sorted(part) for part in got)
     assert [len(loader) for loader in loaders] == [-(-len(part) // batch) for part in got]
     assert max(map(len, got)) - min(map(len, got)) <= 1
+
+
+def test_frames_are_decoded_once_for_the_crops_of_them(tree: Tree) -> None:
+    def crops(most: int) -> tuple[ELDDataset, list[Any]]:
+        dataset = ELDDataset(tree.data, manifest=tree.csv, crop=8, crops_per_frame=4, seed=3)
+        dataset.source.kept.most = most
+        loader = training_loader(dataset, 4, num_workers=0, records_at_a_time=2)
+        return dataset, [sample for batch in loader for sample in zip(batch["path"], batch["input"], strict=True)]
+
+    frame_bytes = 2 * 64 * 96
+    (dataset, kept), (_, decoded) = crops(4 * frame_bytes), crops(0)  # two pairs of frames
+    assert all(a[0] == b[0] and torch.equal(a[1], b[1]) for a, b in zip(kept, decoded, strict=True))
+    assert all(len({path for path, _ in kept[at : at + 8]}) == 2 for at in range(0, len(kept), 8))
+    assert dataset.source.kept.hits >= 6 * len(dataset.records)
+    assert dataset.source.kept.hits + dataset.source.kept.misses == 8 * len(dataset.records)
+    path = tree.data / dataset.records[0].path
+    frame = dataset.source.frame(dataset.records[0].path)
+    assert dataset.source.frame(dataset.records[0].path) is frame
+    path.write_bytes(path.read_bytes() + b"\0")
+    assert dataset.source.frame(dataset.records[0].path) is not frame
 
 
 @pytest.mark.parametrize("workers", [0, 2])
@@ -209,6 +231,7 @@ def test_wrong_arguments(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         *(
             (training_loader, (dataset,), {"batch_size": 4, "num_workers": 0} | options, words)
             for options, words in (
+                ({"records_at_a_time": 0}, "records_at_a_time must be 1 or more"),
                 ({"batch_size": 0}, "batch_size and prefetch must be 1 or more; found 0, 2"),
                 ({"prefetch": 0}, "found 4, 0"),
                 ({"num_workers": -1}, "num_workers must be 0 or more; found -1"),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.many_frames import write_small_store
+from benchmarks.raw_training import make_datasets, train
 from eldata.datasets import (
     CleanClips,
     CleanFrames,
@@ -375,3 +376,10 @@ def test_what_has_no_second_exposure_is_refused(burst_tree: SmallTree, bursts: P
     single.records = single.records[:1]
     with pytest.raises(ArgumentError, match="of 1 pairs none has another one"):
         Noise2Noise(single)
+
+
+def test_uncompressed_raws_train_as_their_store(tmp_path: Path) -> None:
+    """Files as an A7S II writes them; benchmarks/raw_training.py takes 200 steps of whole ones."""
+    raws, store = make_datasets(tmp_path, ("00001",), (160, 4256), crop=32, crops_per_frame=2)
+    assert raws.source.frame(raws.records[0].path).reads_parts
+    assert train(raws, 3) == train(store, 3)

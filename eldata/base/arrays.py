@@ -86,7 +86,8 @@ def read_array(
         What ``check`` raises; ``error``, if the file cannot be read.
     """
     kind = kind or path.suffix
-    with _convert_errors(path, kind, error, advice), closing(_read_in_steps(path, kind, name, index)) as steps:
+    steps = _read_in_steps(path, kind, name, index, mapped=index is not None)
+    with _convert_errors(path, kind, error, advice), closing(steps):
         check(next(steps))
         array: NDArray[Any] = next(steps)
     check(Declared(array.shape, str(array.dtype.newbyteorder("="))))
@@ -102,8 +103,8 @@ def declared_array(
     advice: str = "write it again",
 ) -> Declared:
     """Read the header of a file's array; raises like :func:`read_array`."""
-    suffix = path.suffix
-    with _convert_errors(path, suffix, error, advice), closing(_read_in_steps(path, suffix, name, index)) as steps:
+    steps = _read_in_steps(path, path.suffix, name, index, mapped=True)
+    with _convert_errors(path, path.suffix, error, advice), closing(steps):
         declared: Declared = next(steps)
         return declared
 
@@ -122,8 +123,8 @@ def _convert_errors(path: Path, kind: str, error: type[FileError], advice: str) 
         raise error(path, f"cannot be read as {kind[1:]} ({reason}); {advice}") from cause
 
 
-def _read_in_steps(path: Path, kind: str, name: str, index: int | None) -> Generator[Any, None, None]:
-    """Yield the header of the file's array, or of a part of its first side, then that."""
+def _read_in_steps(path: Path, kind: str, name: str, index: int | None, *, mapped: bool) -> Generator[Any, None, None]:
+    """Yield the header of the file's array, or of a part of its first side, then that; map it if it can be."""
     kind = kind.lower()
     with path.open("rb") as file:
         beginning = file.read(6)
@@ -131,10 +132,10 @@ def _read_in_steps(path: Path, kind: str, name: str, index: int | None) -> Gener
         raise FileError(path, "is HDF5 without MATLAB's header: name it .h5")
     if kind == ".h5" and beginning == b"MATLAB":
         raise FileError(path, "is a MATLAB file: name it .mat")
+    steps = _read_npy(path, name, mapped=mapped) if kind == ".npy" else _READERS.get(kind, _read_tiff)(path, name)
     if index is None:
-        yield from _READERS.get(kind, _read_tiff)(path, name)
+        yield from steps
         return
-    steps = _read_npy(path, name, mapped=True) if kind == ".npy" else _READERS.get(kind, _read_tiff)(path, name)
     declared: Declared = next(steps)
     if index >= (*declared.shape, 0)[0]:
         raise FileError(path, f"holds an array of shape {declared.shape}, which has no part {index}")
@@ -197,12 +198,14 @@ def read_npy_header(file: IO[bytes]) -> Declared:
 def _read_npy_file(file: IO[bytes], size: int, *, mapped: Path | None = None) -> Generator[Any, None, None]:
     """Yield the header and the values of a .npy file of so many bytes, which can seek; or what of it is ``mapped``."""
     header = read_npy_header(file)
+    if mapped is None:
+        yield header
     held = size - file.tell()
     if held != header.value_bytes:
         what = "truncated" if held < header.value_bytes else "were bytes inserted"
         raise NpyError(f"declares {header.value_bytes} bytes of values and has {held}: {what}?")
-    yield header
     if mapped is not None:
+        yield header
         yield np.lib.format.open_memmap(mapped, mode="r", max_header_size=_MOST_HEADER_BYTES)
     file.seek(0)
     try:

@@ -38,6 +38,11 @@ def is_pattern(path: str) -> bool:
     return "*" in path or "{" in path
 
 
+def as_glob(path: str) -> str:
+    """Return the path of a row's file with a ``*`` for each field."""
+    return _FIELD.sub("*", split_member(path)[0])
+
+
 def is_png(path: str) -> bool:
     """Tell whether a path is a PNG file's."""
     return path.lower().endswith(".png")

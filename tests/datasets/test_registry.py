@@ -177,7 +177,7 @@ def test_the_published_clips_can_be_read(name: str, opened: Callable[..., Any]) 
             opened(name)
         own = re.findall("'([^']+)'", str(raised.value))
         assert len(own) in (2, 3)
-        dataset, records = opened(name, scenes=own), [row for row in records if row.scene in own]
+        dataset, records = opened(name, scenes=own), tuple(row for row in records if row.scene in own)
     else:
         dataset = opened(name)
     # Of a sequence, the scene stands within the clip's name.

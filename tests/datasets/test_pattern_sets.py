@@ -116,7 +116,7 @@ def test_recrvd_scores_are_the_authors(tmp_path: Path) -> None:
             mosaic = spoil(truth, frame)
             save_prediction(preds, f"wb_scene_noisy/{scene}/ISO6400/wb_noisy_{frame}_0.tiff", mosaic)
             clipped = np.clip(mosaic, 0, 1).astype(np.float64)
-            cut = (np.uint16(clipped * (4095 - 240) + 240).astype(np.float32) - 240) / (4095 - 240)
+            cut: Any = (np.uint16(clipped * (4095 - 240) + 240).astype(np.float32) - 240) / (4095 - 240)
             psnr.append(psnr_of(truth, cut, data_range=1.0))
             planes = [(row, column) for row in (0, 1) for column in (0, 1)]
             ssim.append(np.mean([

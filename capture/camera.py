@@ -2,8 +2,8 @@
 
 The camera *names* a time 1/60 s, on its dial and mostly in EXIF; what it *gives* is a step of an even ladder of powers
 of two, 1/64 s. Names were rounded for people: 15 s is 16 s, 0.3 s is 2^(-5/3) = 0.315 s. Exposure ratios follow from
-what is given. So both are kept, the latter as an exact number ``c 2^s``: with ``c`` and ``s`` as fractions, products,
-quotients and comparisons stay exact, so that rounding to a camera's steps has no near misses.
+what is given. So both are kept, the former as a fraction. Of the latter, what is nearer than a billionth counts as
+equal, so that rounding to a camera's steps does not depend on the last digit.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ _LONGEST_BULB_S: Final = 3600
 # EXIF states the name of a setting or what it gives, rounded in either case; neighbouring settings are a third of a
 # stop apart, and names account for up to a tenth.
 STOPS_TOLERANCE: Final = 0.125
+EQUAL: Final = 1 + 1e-9  # times of a quotient below are one
 
 # The times as cameras name them, from 2^-15 s in steps of a third and from 2^-14 s in steps of half a stop. Steps of
 # halves and thirds share some names with other meanings: 10 s is 2^(10/3) s by thirds and 2^(7/2) s by halves.
@@ -56,54 +57,6 @@ _LADDERS: Final[dict[Fraction, tuple[tuple[str, ...], int]]] = {
     Fraction(1, 2): (_HALVES, -14),
     Fraction(1): (_THIRDS[::3], -15),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class ExactNumber:
-    """The number ``coefficient * 2 ** stops``, kept with ``stops`` in [0, 1) so that equal numbers have equal fields.
-
-    Attributes
-    ----------
-    coefficient
-        A positive fraction.
-    stops
-        Exponent of two: stops in a photographer's sense.
-    """
-
-    coefficient: Fraction
-    stops: Fraction = Fraction(0)
-
-    def __post_init__(self) -> None:
-        whole = math.floor(self.stops)
-        object.__setattr__(self, "coefficient", Fraction(self.coefficient) * Fraction(2) ** whole)
-        object.__setattr__(self, "stops", Fraction(self.stops) - whole)
-
-    @property
-    def log2(self) -> float:
-        """Its logarithm to the base 2: stops over 1."""
-        return math.log2(self.coefficient.numerator) - math.log2(self.coefficient.denominator) + float(self.stops)
-
-    def __float__(self) -> float:
-        return float(self.coefficient) * math.exp2(float(self.stops))
-
-    def __mul__(self, other: ExactNumber | Fraction | int) -> ExactNumber:
-        factor = as_exact(other)
-        return ExactNumber(self.coefficient * factor.coefficient, self.stops + factor.stops)
-
-    def __truediv__(self, other: ExactNumber | Fraction | int) -> ExactNumber:
-        divisor = as_exact(other)
-        return ExactNumber(self.coefficient / divisor.coefficient, self.stops - divisor.stops)
-
-    def __lt__(self, other: ExactNumber) -> bool:
-        # c1 2^s1 < c2 2^s2 is (c1 / c2)^d < 2^(d (s2 - s1)), and with a common denominator d both sides are fractions.
-        common = math.lcm(self.stops.denominator, other.stops.denominator)
-        exponent = (other.stops - self.stops) * common
-        return (self.coefficient / other.coefficient) ** common < Fraction(2) ** int(exponent)
-
-
-def as_exact(value: ExactNumber | Fraction | int) -> ExactNumber:
-    """Return a fraction as an :class:`ExactNumber`."""
-    return value if isinstance(value, ExactNumber) else ExactNumber(Fraction(value))
 
 
 def parse_seconds(text: object) -> Fraction:
@@ -132,26 +85,20 @@ class ShutterTime:
         As the camera shows it: ``1/60``, ``0.3``, ``15``.
     nominal_s
         What the name says, in seconds: what EXIF states with most makers.
-    true_exact
+    true_s
         What the camera gives, in seconds.
     """
 
     dial: str
     nominal_s: Fraction
-    true_exact: ExactNumber
-
-    @property
-    def true_s(self) -> float:
-        """True exposure time, in seconds."""
-        return float(self.true_exact)
+    true_s: float
 
     def stops_off(self, exposure_s: Fraction) -> float:
         """Compute the distance in stops of a time from this setting: from its name or its true time, the nearer one.
 
         Some makers write the name into EXIF, others what the camera gives.
         """
-        observed = as_exact(exposure_s)
-        return min(abs((observed / self.nominal_s).log2), abs((observed / self.true_exact).log2))
+        return min(abs(math.log2(exposure_s / time_s)) for time_s in (self.nominal_s, self.true_s))
 
 
 @cache
@@ -167,10 +114,14 @@ def ladder(step: Fraction) -> dict[Fraction, ShutterTime]:
         raise CaptureError(f"shutter step: expected 1/3, 1/2 or 1 stop, found {step}")
     names, first = _LADDERS[step]
     times = [
-        ShutterTime(name, parse_seconds(name), ExactNumber(Fraction(1), first + step * index))
-        for index, name in enumerate(names)
+        ShutterTime(name, parse_seconds(name), _power_of_two(first + step * index)) for index, name in enumerate(names)
     ]
     return {time.nominal_s: time for time in times}
+
+
+def _power_of_two(stops: Fraction) -> float:
+    """Return 2^stops; of equal fractions of a stop the quotient is a power of two exactly."""
+    return math.ldexp(math.exp2(stops % 1), math.floor(stops))
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,7 +198,7 @@ def _read_times(dials: tuple[str, ...], step: Fraction, true_times: TrueTimes) -
     """Read the dial's times; their true times are powers of two, or as named."""
     if true_times == "powers-of-two":
         return tuple(_find_standard(dial, step) for dial in dials)
-    return tuple(ShutterTime(dial, parse_seconds(dial), as_exact(parse_seconds(dial))) for dial in dials)
+    return tuple(ShutterTime(dial, parse_seconds(dial), float(parse_seconds(dial))) for dial in dials)
 
 
 @cache
@@ -256,20 +207,20 @@ def _list_bulb_times(slowest: ShutterTime, step: Fraction, bulb_s: int) -> tuple
     times: dict[int, ShutterTime] = {}
     seconds, steps = 0, 1
     while seconds < bulb_s:
-        seconds = round(float(slowest.true_exact * ExactNumber(Fraction(1), steps * step)))
+        seconds = round(slowest.true_s * _power_of_two(steps * step))
         steps += 1
         if slowest.nominal_s < seconds <= bulb_s:
-            times[seconds] = ShutterTime(f"bulb {seconds}", Fraction(seconds), as_exact(seconds))
+            times[seconds] = ShutterTime(f"bulb {seconds}", Fraction(seconds), float(seconds))
     return tuple(times.values())
 
 
 @cache
-def borders(shutter: Shutter) -> tuple[ExactNumber, ...]:
-    """Return the squares of the borders between neighbouring times, and those half a step beyond both ends."""
-    given = [time.true_exact for time in shutter.times]
-    step = ExactNumber(Fraction(1), shutter.step)
+def borders(shutter: Shutter) -> tuple[float, ...]:
+    """Return the borders between neighbouring times, the roots of their products, and those beyond both ends."""
+    given = [time.true_s for time in shutter.times]
+    step = _power_of_two(shutter.step)
     first, last = (given[1] / given[0], given[-1] / given[-2]) if len(given) > 1 else (step, step)
-    return tuple(one * other for one, other in pairwise([given[0] / first, *given, given[-1] * last]))
+    return tuple(math.sqrt(one * other) for one, other in pairwise([given[0] / first, *given, given[-1] * last]))
 
 
 def _find_standard(name: str, step: Fraction) -> ShutterTime:
@@ -279,7 +230,7 @@ def _find_standard(name: str, step: Fraction) -> ShutterTime:
     time = known.get(seconds)
     if time is not None:
         return time
-    near = min(known.values(), key=lambda time: abs((as_exact(seconds) / time.nominal_s).log2))
+    near = min(known.values(), key=lambda time: abs(math.log2(seconds / time.nominal_s)))
     raise CaptureError(
         f"shutter times: {name} s is not a standard time in steps of {step} stop; the nearest is {near.dial} s. If the "
         'camera has just this time, list its times and say "true_times": "as-named"'
@@ -380,7 +331,7 @@ class CameraDescription:
         for iso, speed in self.true_isos:
             if iso not in self.isos:
                 raise CaptureError(f"true_isos of {self.name}: expected its ISOs, found {iso}, which it does not have")
-            if abs(as_exact(speed / iso).log2) > _MOST_STOPS_OFF:
+            if abs(math.log2(speed / iso)) > _MOST_STOPS_OFF:
                 raise CaptureError(
                     f"true_isos of {self.name}: expected speeds within {_MOST_STOPS_OFF} stop of their names, found "
                     f"{float(speed):g} for ISO {iso}"
@@ -434,22 +385,19 @@ class CameraDescription:
         """Return the setting that is marked with this time, if there is one."""
         return next((time for time in self.shutter.times if time.nominal_s == seconds), None)
 
-    def round_to_nearest(self, wanted_s: ExactNumber | Fraction) -> ShutterTime | None:
+    def round_to_nearest(self, wanted_s: float | Fraction) -> ShutterTime | None:
         """Return the setting whose given time is nearest by ratio; of two equally near the faster.
 
         ``None`` if the wanted time lies beyond the camera's fastest or slowest by more than half of a step there.
         """
-        wanted = as_exact(wanted_s)
-        # Nearest by ratio: the border between two neighbours is the root of their product. Squares stay exact.
-        square, between = wanted * wanted, borders(self.shutter)
-        if square < between[0] or between[-1] < square:
+        wanted, between = float(wanted_s), borders(self.shutter)
+        if not between[0] <= wanted * EQUAL or not wanted <= between[-1] * EQUAL:
             return None
-        return self.shutter.times[bisect_left(between, square, 1, len(between) - 1) - 1]
+        return self.shutter.times[bisect_left(between, wanted / EQUAL, 1, len(between) - 1) - 1]
 
-    def round_down(self, wanted_s: ExactNumber | Fraction) -> ShutterTime | None:
+    def round_down(self, wanted_s: float) -> ShutterTime | None:
         """Return the slowest setting that gives no more than the wanted time; ``None`` if all give more."""
-        wanted = as_exact(wanted_s)
-        return next((time for time in reversed(self.shutter.times) if not wanted < time.true_exact), None)
+        return next((time for time in reversed(self.shutter.times) if time.true_s <= wanted_s * EQUAL), None)
 
 
 def read_wholes(fields: Fields, name: str) -> tuple[int, ...]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from capture.capture_errors import ImpossibleShotError
 from capture.observed import format_f_number
-from capture.shots import WARM, ScenePlan, format_minutes, plan_shots
+from capture.shots import WARM, ScenePlan, Shot, format_minutes, plan_shots
 from eldata.base.fields import shipped_toml
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
@@ -24,17 +24,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from capture.plan import Plan
-    from capture.shots import Shot
 
 __all__ = ["FORMATS", "html_checklist", "markdown_checklist", "plan_digest", "text_checklist"]
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
 _WORDS = TEMPLATES / "checklist.toml"
-_TITLES: Final = {
-    "bias": "Bias frames",
-    "flats": "Flat-field frames",
-    WARM: "With the sensor warm, after the shooting",
-}
+_TITLES: Final = {"bias": "Bias frames", "flats": "Flat-field frames", WARM: "With the sensor warm, after the shooting"}
 _LONGEST_TEXT: Final = 500  # characters of a file's name or a remark
 _MOST_REPEATS: Final = 99
 _TO_BE_TIMED_S: Final = 1  # shorter exposures are over before a button is pressed

@@ -16,12 +16,12 @@ from typing import IO, TYPE_CHECKING, Final, Literal
 
 from capture.capture_errors import CaptureError
 from capture.matching import can_be
-from capture.plan import CALIBRATION
-from capture.shots import WARM
+from capture.plan import CALIBRATION, Plan
+from capture.shots import WARM, Shot
 from eldata.base.files import atomic_write, naming_file, sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, load_card, title_of_set
+from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, load_card, own_card, title_of_set
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.pairs import UNCERTAIN_ISO, WARM_SENSOR
 from eldata.manifest.table import load_records
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from capture.matching import Match, Slot
     from capture.observed import ObservedFrame
-    from capture.plan import Plan
-    from capture.shots import Shot
 
 _PIECE: Final = 1 << 20
 
@@ -183,27 +181,11 @@ def _hash_file(row: Placement) -> Placement:
     return replace(row, record=replace(row.record, size_bytes=row.path.stat().st_size, sha256=sha256_of(row.path)))
 
 
-def title_set(records: Sequence[FrameRecord]) -> str:
-    """Describe a set's scenes and cameras."""
-    return title_of_set(records, len({record.scene for record in records} - {""}))
-
-
 def make_card(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:
     """Make the dataset's card; what only the photographer knows, such as the licence, is left to fill in."""
-    return Card(
-        name=name,
-        title=title_set(records),
-        version="1.0",
-        folder=folder,
-        citation="not stated",
-        licence="not stated",
-        homepage="not stated",
-        cfa=plan.camera.cfa,
-        cameras={plan.camera.name: CameraCard(plan.camera.models)},
-        counts=counts_of(records),
-        protocol="raw",
-        sources=(f"capture manifest: protocol of {plan.protocol}; ISO and exposure times as the files state them",),
-    )
+    sources = (f"capture manifest: protocol of {plan.protocol}; ISO and exposure times as the files state them",)
+    cameras = {plan.camera.name: CameraCard(plan.camera.models)}
+    return own_card(name, folder, records, cfa=plan.camera.cfa, cameras=cameras, protocol="raw", sources=sources)
 
 
 # --- a set that more files join ---------------------------------------------------------------------------------------
@@ -309,7 +291,7 @@ class ExistingSet:
         kinds = {"bayer", "xtrans"} if "both" in words else set(words)
         return replace(
             self.card,
-            title=new.title if self.card.title == title_set(self.records) else self.card.title,
+            title=new.title if self.card.title == title_of_set(self.records) else self.card.title,
             cfa=cfa_word(kinds),
             cameras=self.card.cameras | new.cameras,
             counts=new.counts,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from capture.capture_errors import CaptureError
 from capture.matching import Match, MatchRemark, can_be, describe_missing, match
-from capture.observed import format_f_number, same_aperture
+from capture.observed import Observed, ObservedFrame, format_f_number, same_aperture
 from eldata.base.fields import TextFile
 from eldata.errors import EldataError
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from capture.matching import Slot
-    from capture.observed import Observed, ObservedFrame
     from capture.plan import Plan
 
 SCHEMA: Final = 1

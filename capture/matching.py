@@ -22,13 +22,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from capture.camera import STOPS_TOLERANCE
-from capture.plan import CALIBRATION
+from capture.plan import CALIBRATION, Plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from capture.observed import Observed, ObservedFrame
-    from capture.plan import Plan
     from capture.shots import Shot
     from eldata.records import FrameRecord
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import log2
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 from capture.camera import STOPS_TOLERANCE
 from capture.capture_errors import CaptureError
 from eldata.base.files import sha256_of, visible_below
+from eldata.base.numbers import natural
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.errors import RawFileError
 from eldata.manifest.table import number_text
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from datetime import datetime
 
     from eldata.records import FrameRecord as Original
-
-_DIGITS = re.compile(r"(\d+)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +162,7 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
     doubles = find_doubles(facts, workers, across=True)
     frames = [frame for frame in frames if frame.path not in doubles]
     by_time = all(frame.taken is not None for frame in frames)
-    frames.sort(key=lambda frame: (frame.taken if by_time else None, _split_numbers(frame.path)))
+    frames.sort(key=lambda frame: (frame.taken if by_time else None, natural(str(frame.path))))
     copies = tuple((path, str(other)) for path, other in doubles.items())
     return Observed(tuple(frames), tuple(unusable), by_time, copies)
 
@@ -181,8 +179,3 @@ def _observe(path: Path) -> ObservedFrame | RawFileError:
     if iso is None or exposure_s is None:
         return RawFileError(path, f"states no {'ISO' if iso is None else 'exposure time'}: copy the original file")
     return ObservedFrame(path, iso, exposure_s, header.taken, header.model, header.exposure.f_number)
-
-
-def _split_numbers(path: Path) -> list[tuple[int, int, str]]:
-    """Order by folder and name with numbers as numbers: ``DSC9.ARW`` before ``DSC10.ARW``."""
-    return [(int(part.isdecimal()), int(part) if part.isdecimal() else 0, part) for part in _DIGITS.split(str(path))]

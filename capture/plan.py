@@ -275,7 +275,7 @@ def _shot_as_dict(shot: Shot) -> dict[str, Any]:
         "factor": shot.factor,
         "reference": shot.reference,
         "named_ratio": shot.named_ratio and str(shot.named_ratio),
-        "true_ratio": shot.true_ratio and float(shot.true_ratio),
+        "true_ratio": shot.true_ratio,
         "level": shot.level and str(shot.level),
         "true_iso": shot.true_iso and float(shot.true_iso),
         "series": shot.series or None,

@@ -24,14 +24,13 @@ from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from capture.camera import ExactNumber, as_exact
+from capture.camera import EQUAL, CameraDescription, ShutterTime
 from capture.capture_errors import CaptureError, ImpossibleShotError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from capture.camera import CameraDescription, ShutterTime
     from capture.protocol import CaptureProtocol, ProtocolFrame
     from eldata.records import Role
 
@@ -74,7 +73,7 @@ class Shot:
     setting: ShutterTime
     factor: int | None = None
     reference: int | None = None
-    true_ratio: ExactNumber | None = None
+    true_ratio: float | None = None
     named_ratio: Fraction | None = None
     level: Fraction | None = None
     true_iso: Fraction | None = None
@@ -86,7 +85,7 @@ class Shot:
         return f"ISO {self.iso}, {self.setting.dial} s"
 
     @property
-    def ratio_error(self) -> ExactNumber | None:
+    def ratio_error(self) -> float | None:
         """The true ratio over the nominal factor of a noisy frame."""
         return None if self.true_ratio is None or self.factor is None else self.true_ratio / self.factor
 
@@ -185,10 +184,10 @@ def _try_shots(
             if frame.factor is not None:
                 # The time of a noisy frame over its reference's, by the ISOs' speeds and its factor.
                 light = camera.speed(protocol.base_iso) / camera.speed(frame.iso) / frame.factor
-                setting = camera.round_to_nearest(base.true_exact * light)
+                setting = camera.round_to_nearest(base.true_s * light)
                 if setting is None:
                     return frame
-                true_ratio = base.true_exact / setting.true_exact * light * frame.factor
+                true_ratio = base.true_s / setting.true_s * float(light * frame.factor)
                 named_ratio = base.nominal_s / setting.nominal_s * Fraction(protocol.base_iso, frame.iso)
                 shot = replace(
                     shot, setting=setting, factor=frame.factor, true_ratio=true_ratio, named_ratio=named_ratio
@@ -216,7 +215,7 @@ def _advise_change(
         )
     too_fast = metered_s < fitting[0].nominal_s
     bound, limit = (fitting[0], camera.fastest) if too_fast else (fitting[-1], camera.slowest)
-    stops = _round_up_stops(abs((bound.true_exact / metered_s).log2))
+    stops = _round_up_stops(abs(math.log2(bound.true_s / metered_s)))
     message = (
         f"{metered}: {frame.role} frame {frame.number} (ISO {frame.iso}{f', x{frame.factor}' if frame.factor else ''}) "
         f"needs {protocol.exposure_s(frame, metered_s)} s, and {camera.name}'s "
@@ -404,7 +403,7 @@ def plan_calibration(
     shots: list[Shot] = []
     remarks: list[str] = []
     named = camera.find_marked(flat_clips_at_s)
-    clips_at = as_exact(flat_clips_at_s) if named is None else named.true_exact  # what the camera gives for it
+    clips_at = float(flat_clips_at_s) if named is None else named.true_s  # what the camera gives for it
     fastest = camera.fastest
     capped = [Shot(0, "bias", iso, fastest.nominal_s, fastest) for iso in isos for _ in range(bias_frames)]
     shots += capped
@@ -412,7 +411,7 @@ def plan_calibration(
         taken: list[Fraction] = []
         for level in flat_levels:
             target_s = flat_clips_at_s * level * Fraction(base_iso, iso)
-            wanted = clips_at * level * (camera.speed(base_iso) / camera.speed(iso))
+            wanted = clips_at * float(level * camera.speed(base_iso) / camera.speed(iso))
             setting = _choose_flat_setting(camera, iso, level, wanted, flat_clips_at_s)
             if setting.nominal_s in taken:
                 remarks.append(
@@ -430,21 +429,21 @@ def plan_calibration(
 
 
 def _choose_flat_setting(
-    camera: CameraDescription, iso: int, level: Fraction, wanted: ExactNumber, clips_at_s: Fraction
+    camera: CameraDescription, iso: int, level: Fraction, wanted_s: float, clips_at_s: Fraction
 ) -> ShutterTime:
     """Choose the shutter time of a flat, rounded down; refuse one that the camera cannot give."""
-    what = f"the flat of {float(100 * level):.0f} % at ISO {iso} needs {float(wanted):.3g} s"
+    what = f"the flat of {float(100 * level):.0f} % at ISO {iso} needs {wanted_s:.3g} s"
     # Rounded down, never up: a flat that clips is of no use, a darker one is.
-    setting = camera.round_down(wanted)
+    setting = camera.round_down(wanted_s)
     if setting is None or setting == camera.fastest:
         second = camera.shutter.times[min(1, len(camera.shutter.times) - 1)]
-        least_s = float(second.true_exact / wanted) * float(clips_at_s)
+        least_s = second.true_s / wanted_s * clips_at_s
         raise ImpossibleShotError(
             f"{what}, and the fastest time that {camera.name} has for flats is {second.dial} s (the one above it is "
             "that of the bias frames, which EXIF could not tell apart). Dim its light, stop down or add a "
             f"neutral-density filter until it clips at {least_s:.2g} s or later, or leave ISO {iso} out"
         )
-    if camera.slowest.true_exact * ExactNumber(Fraction(1), camera.shutter.step) < wanted:
+    if camera.slowest.true_s * 2**camera.shutter.step * EQUAL < wanted_s:
         raise ImpossibleShotError(
             f"{what}, and {camera.name}'s slowest time is {camera.slowest.dial} s: light the surface more or open up"
         )

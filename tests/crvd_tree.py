@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import tifffile
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from eldata.manifest.catalogue import Manifest
+from eldata.manifest.catalogue import Manifest
 
 SHAPE = (40, 56)
 

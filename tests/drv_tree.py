@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import os
 import zlib
+from collections.abc import Collection
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import imagecodecs
 import numpy as np
+from numpy.typing import NDArray
 
+from eldata.manifest.catalogue import Manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
 from tests.trees import Tree, list_scenes
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.manifest.catalogue import Manifest
 
 RGB_SIZE = (48, 56)
 

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import zlib
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from eldata.manifest.catalogue import Manifest
 from eldata.raw.dng import write_dng
-from eldata.records import Exposure, Sensor
+from eldata.records import Exposure, FrameRecord, Sensor
 from tests.trees import write_each_once
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.manifest.catalogue import Manifest
-    from eldata.records import FrameRecord
 
 # Sixteen bits, as the published code has it, but another white level than its 65535: a test sees which was taken.
 SENSOR = Sensor("Maker", "Drone", ((0, 1), (3, 2)), (4095.0, 4096.0, 4098.0, 4096.0), 65000.0, 40, 48)

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from eldata.manifest.catalogue import Manifest
 from eldata.raw.dng import write_dng
-from eldata.records import Exposure, Sensor
+from eldata.records import Exposure, FrameRecord, Sensor
 from tests.trees import write_each_once
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.manifest.catalogue import Manifest
-    from eldata.records import FrameRecord
 
 # Ten bits, as the published code has it, but other levels than its 64 and 1023: a test sees which were taken.
 SENSOR = Sensor("Maker", "Phone", ((0, 1), (3, 2)), (63.0, 64.0, 66.0, 64.0), 1020.0, 40, 48)

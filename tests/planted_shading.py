@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eldata.noise import DarkShading, ShadingIso
 from eldata.raw import read_raw, write_dng
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.records import Sensor
+from eldata.records import Sensor
 
 STEP = 1 / 32  # DN per ISO in every third pixel: whole DN at multiples of ISO 32
 

@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from eldata.manifest.catalogue import Manifest
 from eldata.raw.dng import write_dng
-from eldata.records import Exposure, Sensor
+from eldata.records import Exposure, FrameRecord, Sensor
 from tests.raw.helpers import xtrans_at
 from tests.trees import Tree, list_scenes, write_each_once
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.manifest.catalogue import Manifest
-    from eldata.records import FrameRecord
 
 NAMES = ("sid-sony", "sid-fuji")
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.manifest.catalogue import Manifest
-    from eldata.records import FrameRecord
+from eldata.manifest.catalogue import Manifest
+from eldata.records import FrameRecord
 
 SHAPE = (40, 48)
 

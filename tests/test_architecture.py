@@ -13,21 +13,17 @@ import sys
 import tarfile
 import zipfile
 from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
 import eldata
+from tests.trees import Tree
 from tests.waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from tests.trees import Tree
 
 ROOT = Path(__file__).parents[1]
 EVERY = sorted(path for room in ("eldata", "capture") for path in (ROOT / room).rglob("*.py"))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import h5py
 import imagecodecs
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import scipy.io
 import tifffile
+from numpy.typing import NDArray
 
 from capture.plan import Plan
 from eldata.base.arrays import read_array
@@ -32,12 +34,6 @@ from tests.download.helpers import contents, sevenzipped, zipped
 from tests.planted_shading import shading_of
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor
 from tests.trees import build_tree
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 SENSOR = make_sensor(BAYER["RGGB"], 60, 64)
 TRIALS = 60

@@ -13,11 +13,12 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,7 +28,7 @@ import torch
 import eldata
 from capture.cli.main import parser as capture_parser
 from eldata.base import workers
-from eldata.calibration import calibrate, dark_shading
+from eldata.calibration import Calibration, calibrate, dark_shading
 from eldata.cli.main import main
 from eldata.cli.main import parser as eldata_parser
 from eldata.datasets import Arrays, CalibrationFrames
@@ -43,12 +44,7 @@ from tests.sidd_tree import write_corrected
 from tests.trees import build_published_tree
 from tests.waiting import PATIENCE_S
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from eldata.calibration import Calibration
-
-    Names = dict[str, Any]
+Names = dict[str, Any]
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = {

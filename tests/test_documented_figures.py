@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -13,9 +13,6 @@ import pytest
 from eldata.cli.main import main
 from eldata.noise import CameraProfile, NoiseModel
 from tests.shared import made_once, there
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 ROOT = Path(__file__).parents[1]
 _BLOCK = re.compile(r"^```\n\$ (eldata (?:evaluate|demo) eldata-(?:.*\\\n)*.*)\n((?:.*\n)*?)```$", re.MULTILINE)

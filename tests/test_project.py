@@ -6,7 +6,8 @@ import importlib.util
 import re
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import pytest
 import yaml
@@ -15,9 +16,6 @@ import eldata
 from eldata.manifest import shipped_manifest
 from tests.cases import in_one_test
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 ROOT = Path(__file__).parents[1]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))

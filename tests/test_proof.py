@@ -6,7 +6,8 @@ import importlib
 import runpy
 from fractions import Fraction
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +17,6 @@ from eldata.datasets import DarkFrames, ELDDataset
 from eldata.manifest import verify
 from eldata.noise import CameraProfile, DarkShading
 from tests.test_architecture import ROOT
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 EXAMPLES = ROOT / "examples"
 STUDY = EXAMPLES / "prove_noise_models.py"

@@ -9,13 +9,15 @@ import os
 import re
 import shutil
 import sys
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO
 
 import numpy as np
+import pytest
 import tifffile
 
 from eldata.base.files import atomic_write
@@ -25,14 +27,7 @@ from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
 from eldata.manifest.table import save_records
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
-from eldata.records import Exposure, Sensor
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
-
-    import pytest
-
-    from eldata.records import FrameRecord
+from eldata.records import Exposure, FrameRecord, Sensor
 
 SIZE = (64, 96)
 _FIELD = re.compile(r"\{\w+\}")

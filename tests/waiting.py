@@ -7,10 +7,7 @@ may be busy with something else: at a load of fifteen the start of one interpret
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from collections.abc import Callable
 
 PATIENCE_S = 300.0
 """What a test gives a process or a condition before it fails; shorter than pytest's own limit in pyproject.toml."""

@@ -16,10 +16,8 @@ import os
 import pkgutil
 import signal
 import sys
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from collections.abc import Iterator
+from typing import Any
 
 OURS = ("eldata", "capture")
 MODULES = frozenset({"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"})

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.frames import ReducedFrame, Unit, draw_map, draw_scene, file_name, reduce_frames
+from capture.check.frames import Cells, ReducedFrame, Unit, draw_map, draw_scene, file_name, reduce_frames
 from capture.check.ratio import BLOCK, OF_MEDIAN, TO_SIGMA, measure_brightness
 from capture.check.result import CheckedGroup, Estimate, find_kind
 
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from numpy.typing import NDArray
-
-    from capture.check.frames import Cells
 
     Levels = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
 from capture.camera import ladder
-from capture.check.frames import ReducedFrame, Unit, draw_change, draw_scene, file_name, reduce_frames
-from capture.check.ratio import fit_ratio, measure_brightest, measure_brightness, measure_change
+from capture.check.frames import Cells, ReducedFrame, Unit, draw_change, draw_scene, file_name, reduce_frames
+from capture.check.ratio import RatioFit, fit_ratio, measure_brightest, measure_brightness, measure_change
 from capture.check.result import (
     LIGHT_AGAIN,
     LIGHT_LOOK,
@@ -26,16 +26,13 @@ from capture.check.result import (
     Estimate,
     find_kind,
 )
-from capture.check.shift import cut_moved_tiles, make_tiles, measure_focus, measure_shift, shift_length
+from capture.check.shift import Tiles, cut_moved_tiles, make_tiles, measure_focus, measure_shift, shift_length
 from capture.observed import format_f_number, same_aperture
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.raw.levels import mean_levels, packing_sites, white_remark
 
 if TYPE_CHECKING:
-    from capture.check.frames import Cells
-    from capture.check.ratio import RatioFit
     from capture.check.result import MeasureKind
-    from capture.check.shift import Tiles
     from eldata.records import Exposure, FrameRecord
 
 _STEPS: Final = (Fraction(1, 3), Fraction(1, 2))

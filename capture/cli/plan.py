@@ -12,13 +12,16 @@ The first makes a plan; the second is for the scene, when the meter says somethi
 from __future__ import annotations
 
 import argparse
+import math
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from capture.camera import parse_seconds
+from capture.camera import CameraDescription, parse_seconds
 from capture.checklist import make_rows
+from capture.observed import format_f_number
 from capture.protocol import PROTOCOLS, CaptureProtocol
+from capture.shots import BIAS_FRAMES, CalibrationPlan, Shot, choose_isos, describe_duration, plan_calibration
 from eldata.base.console import OK, add_output, add_shared, show_and_write, whole_number
 from eldata.base.tables import text_table
 from eldata.base.visible import shown
@@ -28,9 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from fractions import Fraction
 
-    from capture.camera import CameraDescription
     from capture.plan import Plan
-    from capture.shots import CalibrationPlan, Shot
 
 _CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors", "repeats", "references")
 _MOST_SCENES = 1000
@@ -142,7 +143,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _make_plan(arguments: argparse.Namespace) -> Plan:
     """Make a new plan from the camera's file and the command's options."""
-    from capture.camera import CameraDescription
     from capture.plan import make_plan
 
     if arguments.camera is None:
@@ -183,8 +183,6 @@ def _plan_calibration(
     camera: CameraDescription, protocol: CaptureProtocol, arguments: argparse.Namespace
 ) -> CalibrationPlan | None:
     """Plan the calibration frames that are asked for."""
-    from capture.shots import BIAS_FRAMES, choose_isos, plan_calibration
-
     if not arguments.calibration:
         for name in ("flat_clips_at", "calibration_isos", "bias_frames", "warm"):
             if getattr(arguments, name):
@@ -231,9 +229,6 @@ def _change_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 def format_plan(plan: Plan) -> str:
     """Format a plan: a table for the scenes of each metered time, and one for the calibration frames."""
-    from capture.observed import format_f_number
-    from capture.shots import describe_duration
-
     protocol = plan.protocol
     parts = [f"{plan.camera.name}: {len(plan.shots)} shots; {protocol}"]
     for time, f_number in dict.fromkeys((scene.metered_s, scene.aperture) for scene in plan.scenes):
@@ -264,7 +259,6 @@ def _format_shots(shots: Sequence[Shot]) -> str:
     rows = []
     for row in make_rows(shots):
         shot, error = row.shot, row.shot.ratio_error
-        true, named = (None if ratio is None else float(ratio) for ratio in (shot.true_ratio, shot.named_ratio))
         cells = {
             "frame": row.numbers,
             "role": f"{shot.series} {shot.role}".lstrip(),
@@ -275,10 +269,10 @@ def _format_shots(shots: Sequence[Shot]) -> str:
             "asked": f"{shot.target_s} s",
             "set": f"{shot.setting.dial} s",
             "gives": f"{shot.setting.true_s:.4g} s",
-            "ratio": format_cell(true, "{:.2f}"),
-            "EXIF": format_cell(named, "{:.2f}"),
-            "error": format_cell(error and 100 * (float(error) - 1), "{:+.1f} %"),
-            "stops": format_cell(error and error.log2, "{:+.3f}"),
+            "ratio": format_cell(shot.true_ratio, "{:.2f}"),
+            "EXIF": format_cell(shot.named_ratio and float(shot.named_ratio), "{:.2f}"),
+            "error": format_cell(error and 100 * (error - 1), "{:+.1f} %"),
+            "stops": format_cell(error and math.log2(error), "{:+.3f}"),
             "reference": format_cell(shot.reference),
         }
         rows.append(cells)

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 from capture.checklist import TEMPLATES, ChecklistRow, calibration_parts
 from capture.cli.values import add_plan, load_plan
 from capture.observed import format_f_number
-from capture.plan import CALIBRATION
-from capture.shots import format_minutes, sum_duration_s
+from capture.plan import CALIBRATION, Plan
+from capture.shots import ScenePlan, Shot, format_minutes, sum_duration_s
 from eldata.base.console import OK, add_output, add_shared
 from eldata.base.files import write_text
 from eldata.base.tables import one_line
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from capture.camera import ShutterTime
-    from capture.plan import Plan
-    from capture.shots import ScenePlan, Shot
 
 _NEXT_LINE = "\n    "
 

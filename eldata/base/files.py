@@ -16,12 +16,11 @@ from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, TypeVar
 
 from eldata.base.visible import has_unseen
-from eldata.errors import ArgumentError, EldataError, ManifestError
+from eldata.errors import ArgumentError, EldataError, FileError, ManifestError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from eldata.errors import FileError
 
 Result = TypeVar("Result")
 

@@ -9,10 +9,13 @@ import sys
 from fractions import Fraction
 from functools import lru_cache
 from operator import index
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 Number = TypeVar("Number", int, float, Fraction)
 
@@ -74,6 +77,12 @@ def checked_whole(name: str, value: Any, *, at_least: int = 0, bits: int | None 
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun, as ``1 pair`` or ``2 pairs``; the noun is one whose plural ends in s alone."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def natural(text: str) -> tuple[tuple[int, int, str], ...]:
+    """Return a key that sorts texts with the numbers in them as numbers: ``scene-2`` before ``scene-10``."""
+    parts = re.split(r"([0-9]+)", text)
+    return tuple((0, int(part), part) if index % 2 else (1, 0, part) for index, part in enumerate(parts) if part)
 
 
 # --- numbers in text, and in JSON -----------------------------------------------------------------------------------
@@ -162,6 +171,15 @@ def _check(
     elif at_most < LARGEST_WHOLE:
         limits = f" from {at_least} to {at_most}"
     raise ArgumentError(f"expected {kind.format(limits)}, found {shown(source)}")
+
+
+def replace_infinities(value: Any, replace: Callable[[float], object] = lambda _: None) -> Any:
+    """Replace nan and infinities in nested plain types, by default by ``None``: JSON has neither."""
+    if isinstance(value, dict):
+        return {name: replace_infinities(item, replace) for name, item in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [replace_infinities(item, replace) for item in value]
+    return replace(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def checked_index(place: int, length: int) -> int:

@@ -21,15 +21,7 @@ import time
 import traceback
 import uuid
 from collections import deque
-from concurrent.futures import (
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
-    wait,
-)
+from concurrent import futures
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -104,14 +96,14 @@ class Workers:
     """
 
     jobs: int = 1
-    executor: Executor | None = None
+    executor: futures.Executor | None = None
 
     def __post_init__(self) -> None:
         if self.jobs < 1:
             raise ArgumentError(f"workers must be 1 or more; found {self.jobs}")
 
     @classmethod
-    def of(cls, workers: Workers | Executor | int) -> Workers:
+    def of(cls, workers: Workers | futures.Executor | int) -> Workers:
         """Convert a public function's ``workers``: a number of processes, an executor, or workers already."""
         if isinstance(workers, Workers):
             return workers
@@ -203,7 +195,7 @@ class Workers:
         elif self.jobs == 1:
             yield from map(work, units)
         else:
-            pool = ThreadPoolExecutor(self.jobs)
+            pool = futures.ThreadPoolExecutor(self.jobs)
             try:
                 yield from _raise_failures(_in_order(work, units, pool, self.jobs + 1))
             finally:
@@ -213,7 +205,7 @@ class Workers:
 IN_THIS_PROCESS = Workers()
 """The default of functions that are handed workers."""
 
-AnyWorkers = Workers | Executor | int
+AnyWorkers = Workers | futures.Executor | int
 """What a public function takes as ``workers``: how many processes, an executor, or :class:`Workers`."""
 
 
@@ -236,7 +228,7 @@ def require_files(*paths: Path) -> None:
             ) from error
 
 
-def count_workers(executor: Executor) -> int:
+def count_workers(executor: futures.Executor) -> int:
     """Count the units that an executor runs at a time, as the standard library's and Dask's say; else guess."""
     client: Any = getattr(executor, "_client", None)
     if hasattr(client, "nthreads"):
@@ -247,14 +239,14 @@ def count_workers(executor: Executor) -> int:
 # --- one unit, where it runs ------------------------------------------------------------------------------------------
 
 
-def _submit(executor: Executor, work: Callable[[Unit], Result], unit: Unit) -> Future[Any]:
+def _submit(executor: futures.Executor, work: Callable[[Unit], Result], unit: Unit) -> futures.Future[Any]:
     """Submit a unit to an executor; if that is broken, its error is the future's."""
     # Dask takes equal calls for the same one, and answers with the result that it already has: hence the UUID.
     call = partial(_run_elsewhere, work, unit, os.getpid(), uuid.uuid4().hex)
     try:
         return executor.submit(call)
-    except BrokenExecutor as error:
-        broken: Future[Any] = Future()
+    except futures.BrokenExecutor as error:
+        broken: futures.Future[Any] = futures.Future()
         broken.set_exception(error)  # broken by an earlier unit, which is reported first
         return broken
 
@@ -309,11 +301,11 @@ def _raise_failures(outcomes: Generator[Result | Failed[Any], None, None]) -> It
 
 
 def _in_order(
-    work: Callable[[Unit], Result], units: Iterable[Unit], executor: Executor, in_flight: int
+    work: Callable[[Unit], Result], units: Iterable[Unit], executor: futures.Executor, in_flight: int
 ) -> Generator[Result | Failed[Unit], None, None]:
     """Yield the outcomes of units on an executor; ``in_flight`` of them are submitted at a time."""
     left = iter(units)
-    waiting: deque[tuple[Unit, Future[Any]]] = deque()
+    waiting: deque[tuple[Unit, futures.Future[Any]]] = deque()
     try:
         while True:
             for unit in islice(left, in_flight - len(waiting)):
@@ -324,7 +316,7 @@ def _in_order(
             error = _await_error(future)
             if _is_loss(executor, error):
                 # Only a unit that runs alone shows whether it was the one that ended the worker.
-                wait([other for _, other in waiting])
+                futures.wait([other for _, other in waiting])
                 if isinstance(executor, Processes):
                     executor.check()
                 future = _submit(executor, work, unit)
@@ -347,15 +339,15 @@ def _in_order(
             future.cancel()
 
 
-def _await_error(future: Future[Any]) -> BaseException | None:
+def _await_error(future: futures.Future[Any]) -> BaseException | None:
     """Wait for a future and take its error, or its cancellation; ``None`` if it has a result."""
     try:
         return future.exception()
-    except CancelledError as error:
+    except futures.CancelledError as error:
         return error
 
 
-def _is_loss(executor: Executor, error: BaseException | None) -> bool:
+def _is_loss(executor: futures.Executor, error: BaseException | None) -> bool:
     """Tell whether a future's error means that the unit's worker was lost, and the unit may be run again."""
     if isinstance(executor, Processes):
         return isinstance(error, BrokenProcessPool)
@@ -375,7 +367,7 @@ def require_main_guard() -> None:
         os._exit(1)
 
 
-class Processes(Executor):
+class Processes(futures.Executor):
     """A pool of spawned processes that is made anew if one of them dies, and that ends with this process."""
 
     def __init__(self, count: int) -> None:
@@ -383,11 +375,11 @@ class Processes(Executor):
         self._max_workers = min(count, _MOST_PROCESSES)
         self._pool = self._new_pool()
 
-    def _new_pool(self) -> ProcessPoolExecutor:
+    def _new_pool(self) -> futures.ProcessPoolExecutor:
         """Make a pool of worker processes, each a fresh interpreter."""
-        return ProcessPoolExecutor(self._max_workers, mp_context=get_context("spawn"), initializer=_begin)
+        return futures.ProcessPoolExecutor(self._max_workers, mp_context=get_context("spawn"), initializer=_begin)
 
-    def submit(self, call: Callable[[], Any], /) -> Future[Any]:  # type: ignore[override] # all that is used
+    def submit(self, call: Callable[[], Any], /) -> futures.Future[Any]:  # type: ignore[override] # all that is used
         """Start a call, and the process for it."""
         with _ctrl_c_blocked():
             try:

@@ -10,12 +10,11 @@ from eldata.base.fields import TextFile, names_of
 from eldata.base.files import atomic_write, json_text
 from eldata.base.numbers import checked_whole
 from eldata.errors import ArgumentError, EldataError, FileError, check_choice
-from eldata.raw.levels import CLIP_RANGES
+from eldata.raw.levels import CLIP_RANGES, Clip
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from eldata.raw.levels import Clip
 
 _RECORD = "eldata.json"  # among the archive's extra files
 _SCHEMA = 1

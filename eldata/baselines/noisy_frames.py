@@ -15,7 +15,7 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import render_to_8_bits
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.noise.parameters import NoiseParameters
-from eldata.noise.profile import rows_nearest, rows_of
+from eldata.noise.profile import CameraProfile, rows_nearest, rows_of
 from eldata.sources.frames import Files
 from eldata.sources.pairs import PairOpener
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from eldata.evaluation.scores import Pair
     from eldata.manifest.catalogue import FrameFiles
     from eldata.manifest.clips import Clip
-    from eldata.noise.profile import CameraProfile
     from eldata.protocols.protocol import Protocol as ScoringProtocol
     from eldata.raw.levels import Clip as ClipRange
 

@@ -13,16 +13,16 @@ from eldata import __version__
 from eldata.base.files import atomic_write
 from eldata.base.numbers import checked_number
 from eldata.baselines.classical import BASELINES, SignalNoise
-from eldata.baselines.networks import load_network
+from eldata.baselines.networks import NetworkDenoiser, load_network
 from eldata.baselines.noisy_frames import estimate_line, line_of_profile
 from eldata.baselines.tiling import tile_bands
 from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import brightening, preview
 from eldata.manifest.catalogue import carded_names, shipped_card
 from eldata.manifest.own import name_camera
-from eldata.noise.profile import profile_of
+from eldata.noise.profile import CameraProfile, profile_of
 from eldata.raw.dng import write_dng
-from eldata.raw.levels import packed_area, packed_black_level_dn, packed_shape, packing_sites, unpack
+from eldata.raw.levels import Clip, FrameLevels, packed_area, packed_black_level_dn, packed_shape, packing_sites, unpack
 from eldata.raw.reading import read_header, read_raw
 from eldata.sources.frames import Frame
 
@@ -31,10 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.baselines.networks import NetworkDenoiser
     from eldata.baselines.tiling import Read, Values
-    from eldata.noise.profile import CameraProfile
-    from eldata.raw.levels import Clip, FrameLevels
     from eldata.records import RawFrame
 
 METHODS = tuple(name for name, baseline in BASELINES.items() if baseline.uses_noise)

@@ -14,18 +14,18 @@ import numpy as np
 from eldata import __version__
 from eldata.base.files import inside, remove_leftovers
 from eldata.base.numbers import counted
-from eldata.base.workers import Failed, require_files
+from eldata.base.workers import AnyWorkers, Failed, require_files
 from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_patches
 from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames, estimate_line, line_of_profile
 from eldata.baselines.prediction_folder import ANSWERS, begin_folder, describe_answers
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.evaluation.predictions import save_prediction, stem_of
-from eldata.evaluation.request import make_request, plan_scoring, require_pairs
+from eldata.evaluation.request import Request, make_request, plan_scoring, require_pairs
 from eldata.manifest.card import CHANNELS
-from eldata.manifest.clips import clips_of, setting_name
+from eldata.manifest.clips import Clip, clips_of, setting_name
 from eldata.manifest.patterns import expand
 from eldata.metrics.registry import IMAGES
-from eldata.noise.profile import profile_of
+from eldata.noise.profile import CameraProfile, profile_of
 from eldata.protocols.words import in_words
 
 if TYPE_CHECKING:
@@ -33,12 +33,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.base.workers import AnyWorkers
-    from eldata.evaluation.request import Request
     from eldata.evaluation.scores import Pair
     from eldata.manifest.catalogue import FrameFiles
-    from eldata.manifest.clips import Clip
-    from eldata.noise.profile import CameraProfile
     from eldata.protocols.protocol import Protocol as ScoringProtocol
     from eldata.raw.levels import Clip as ClipRange
 

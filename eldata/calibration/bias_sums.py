@@ -17,20 +17,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy import special, stats
 
-from eldata.calibration.sums import (
-    channel_histograms,
-    channels_of,
-    checked_mosaic,
-    groups_of_rows,
-    lag_products,
-    levels_and_lines,
-    residual_histogram,
-    residual_sums,
-    sites,
-    standardise,
-    sums_by_row,
-)
+from eldata.calibration import sums as loops
+from eldata.calibration.sums import channels_of, checked_mosaic, groups_of_rows, levels_and_lines, sites, sums_by_row
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -149,7 +139,7 @@ class BiasSums:
         # Of n times the deviation from the pixel's own mean: by (row, channel), squares by row, by (column, channel).
         rows, columns = np.zeros_like(self.row_pixels), np.zeros_like(self.column_pixels)
         squares = np.zeros(height, dtype=np.int64)
-        residual_sums(mosaic, fixed.total_dn, fixed.defects, fixed.frames, fixed.pattern, rows, squares, columns)
+        loops.residual_sums(mosaic, fixed.total_dn, fixed.defects, fixed.frames, fixed.pattern, rows, squares, columns)
         self._add_lines(mosaic, rows, squares, columns)
         if fixed.clips_at_black:
             self.at_floor += int(np.count_nonzero(mosaic <= (fixed.floor_dn or 0)))
@@ -179,7 +169,7 @@ class BiasSums:
         self._group_squares += np.bincount(self._group, left, minlength=len(self._group_squares))
         phases = np.arange(len(line)) % len(fixed.pattern)
         offsets = np.rint(line[:, None] + level[fixed.pattern[phases]]).astype(np.int64)
-        residual_histogram(mosaic, fixed.total_dn, fixed.defects, fixed.frames, offsets, self._step, self._counts)
+        loops.residual_histogram(mosaic, fixed.total_dn, fixed.defects, fixed.frames, offsets, self._step, self._counts)
 
     def check_frames(self) -> None:
         """Raise a DatasetError unless the second pass saw as many frames as the first."""
@@ -212,7 +202,7 @@ class BiasSums:
         remainders = np.zeros((1, len(fixed.level_dn), frames), dtype=np.int64)
         of_pixels = np.empty(fixed.total_dn.shape, dtype=np.uint16)
         np.remainder(fixed.total_dn, frames, out=of_pixels, casting="unsafe")
-        channel_histograms(of_pixels, fixed.defects, fixed.pattern, remainders)
+        loops.channel_histograms(of_pixels, fixed.defects, fixed.pattern, remainders)
         turns = np.exp(2j * math.pi * np.arange(frames) / frames)
         return np.asarray(remainders[0] @ turns / np.maximum(remainders[0].sum(axis=1), 1))
 
@@ -231,7 +221,7 @@ def count_frame(mosaic: Mosaic, fixed: FixedPattern) -> tuple[Values, Counts]:
     step = max(1, round(units * sigma / CELLS_PER_SIGMA)) | 1  # odd: cell 0 is symmetric
     counts = np.zeros((1, 2 * _HALF + 1), dtype=np.int64)
     nothing = np.broadcast_to(np.uint32(0), mosaic.shape)
-    residual_histogram(mosaic, nothing, fixed.defects, units, offsets, step, counts)
+    loops.residual_histogram(mosaic, nothing, fixed.defects, units, offsets, step, counts)
     return np.asarray((np.arange(2 * _HALF + 1) - _HALF) * (step / units), dtype=np.float64), counts[0]
 
 
@@ -385,16 +375,12 @@ def _measure_lines(
     means: list[Values], pixels: Counts, fixed_sums: Values, pattern: Counts, pixel_variance: float
 ) -> LineNoise:
     """Measure the noise of rows, or of columns, from their means in each frame, and test if it is normal."""
-    from scipy import stats
-
     deviations, counts = np.array(means), pixels.sum(axis=1)
     used = counts > 0
     deviations = deviations[:, used]
     frames, lines = deviations.shape
     independent = lines - _count_classes(pattern)
     freedom = (frames - 1) * independent
-    if freedom < 2:
-        raise DatasetError("too few sound rows or columns are left")
     scatter = float((deviations**2).sum()) / freedom
     of_pixels = pixel_variance * float((1 / counts[used]).mean())
     variance, variance_error = scatter - of_pixels, scatter * math.sqrt(2 / freedom)
@@ -454,8 +440,6 @@ def colour_bias(sums: BiasSums, noise: RowNoise, black_level_dn: Sequence[float]
     black_level_dn
         As recorded, one for each CFA channel.
     """
-    from scipy.special import chdtri, ndtri, stdtrit
-
     table = np.array(sums.means_dn)
     frames = len(table)
     bias = table - np.asarray(black_level_dn)
@@ -466,8 +450,8 @@ def colour_bias(sums: BiasSums, noise: RowNoise, black_level_dn: Sequence[float]
     )
     drift = float((bias.var(axis=0, ddof=1) / of_frame).mean())
     error = np.sqrt(of_frame * max(drift, 1.0) / frames)
-    if drifts := drift > chdtri(frames - 1, _BY_CHANCE) / (frames - 1):
-        error *= stdtrit(frames - 1, 0.975) / ndtri(0.975)  # so few frames know little of their scatter
+    if drifts := drift > special.chdtri(frames - 1, _BY_CHANCE) / (frames - 1):
+        error *= special.stdtrit(frames - 1, 0.975) / special.ndtri(0.975)  # so few frames know little of their scatter
     return ColourBias(
         bias_dn=tuple(bias.mean(axis=0).tolist()),
         standard_error_dn=tuple(error.tolist()),
@@ -604,13 +588,13 @@ class BiasPairs:
         """Add a bias frame."""
         defects, pattern = self._fixed.defects, self._fixed.pattern
         for rows in self._bands:
-            channel_histograms(mosaic[rows], defects[rows], pattern, self._codes[None])
+            loops.channel_histograms(mosaic[rows], defects[rows], pattern, self._codes[None])
         if self._first is None:
             self._first = np.stack([mosaic[rows] for rows in self._bands])
             return
         for index, rows in enumerate(self._bands):
             band = np.empty(self._first[index].shape, dtype=np.int16)
-            standardise(self._first[index], mosaic[rows], defects[rows], pattern, self._scale, _LIMIT, band)
+            loops.standardise(self._first[index], mosaic[rows], defects[rows], pattern, self._scale, _LIMIT, band)
             self.add_neighbours(band)
             values = np.clip(band[:, : self._width], -_CLIP, _CLIP).astype(np.int32)
             values *= values
@@ -622,7 +606,7 @@ class BiasPairs:
     def add_neighbours(self, band: NDArray[np.int16]) -> None:
         """Add rows of the standardised difference of two frames; they start with the pattern's first."""
         height, width = band.shape
-        lag_products(band, self._lags, self._products)
+        loops.lag_products(band, self._lags, self._products)
         self._all_squares += int(np.einsum("ij,ij->", band, band, dtype=np.int64))
         self._pixels += band.size
         pairs = (height - self._lags[:, 0]) * (width - np.abs(self._lags[:, 1]))

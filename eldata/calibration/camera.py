@@ -17,7 +17,7 @@ from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.calibration.checks import take_step
-from eldata.calibration.frames import WHOLE, FramesError, check_crop, crop_text, picture_crop, sort_frames
+from eldata.calibration.frames import WHOLE, FramesError, IsoFrames, check_crop, crop_text, picture_crop, sort_frames
 from eldata.calibration.iso_results import (
     BLACK,
     LIGHT,
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from eldata.calibration.frames import IsoFrames
     from eldata.calibration.iso_results import Finding
 
 _LEVELS_APART = 0.001  # of the range

@@ -11,29 +11,20 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import special
 
 from eldata.calibration import iso_results as findings
-from eldata.calibration.bias_sums import LAGS
-from eldata.calibration.flats import straight_line
-from eldata.calibration.iso_results import fill_sentence
-from eldata.calibration.residuals import read_noise
+from eldata.calibration.bias_sums import LAGS, BiasStatistics, BiasSums, ColourBias, LineNoise, RowNoise
+from eldata.calibration.flats import FlatPairs, PhotonTransfer, PhotonTransferLine, straight_line
+from eldata.calibration.iso_results import Finding, IsoCalibration, Quantity, fill_sentence
+from eldata.calibration.residuals import ReadNoise, read_noise
 from eldata.calibration.tukey_lambda import NEARLY_NORMAL, Ripple
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from eldata.calibration.bias_sums import (
-        BiasStatistics,
-        BiasSums,
-        ColourBias,
-        LineNoise,
-        ResidualHistogram,
-        RowNoise,
-    )
-    from eldata.calibration.flats import FlatPairs, PhotonTransfer, PhotonTransferLine
-    from eldata.calibration.iso_results import Finding, IsoCalibration, Quantity
-    from eldata.calibration.residuals import ReadNoise
+    from eldata.calibration.bias_sums import ResidualHistogram
     from eldata.calibration.sums import Counts, Mask, Values
 
 # --- bias frames ------------------------------------------------------------------------------------------------------
@@ -77,8 +68,6 @@ def _find_light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, r
     squares clipped at four standard deviations, so that the slope over its standard error follows Student's t. A smooth
     shading (of second order) would hide a faint light, so the slope is also taken with one allowed for: two tests.
     """
-    from scipy.special import stdtrit
-
     level, variance = statistics.level_dn, statistics.variance.ravel()
     _, rows, columns = level.shape
     _, y, x = np.meshgrid((0, 1), np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
@@ -86,7 +75,7 @@ def _find_light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, r
     smooth = np.stack([part.ravel() for part in (np.ones_like(x), x, y, x * y, x**2, y**2)], axis=1)
     slopes = (_fit_slope(level.ravel(), variance, shading, ripple) for shading in (flat, smooth))
     statistic, slope, over_dark = max(slopes, key=lambda test: test[0])
-    threshold = float(stdtrit(level.size - 7, 1 - findings.CHANCE / 2))
+    threshold = float(special.stdtrit(level.size - 7, 1 - findings.CHANCE / 2))
     if statistic <= threshold:
         return
     share = 0.5 * slope * over_dark
@@ -120,8 +109,6 @@ def _find_correlation(statistics: BiasStatistics, rows: RowNoise, read: ReadNois
     Beside what a filter takes from the pixels, the mean of a row's pixels scatters by more, or less, than that of as
     many independent ones, which the row noise is measured against.
     """
-    from scipy.special import ndtri
-
     correlation, error = statistics.correlation, statistics.correlation_error
     # Each correlation, and their two sums along the axes. The error needs no assumption on the distribution, and sums
     # of so many products are normal. Where row noise moves neighbours of one level over the steps of the values
@@ -129,7 +116,7 @@ def _find_correlation(statistics: BiasStatistics, rows: RowNoise, read: ReadNois
     along = [np.equal(LAGS, lag).all(axis=1) | np.equal(LAGS, lag[::-1]).all(axis=1) for lag in ((0, 1), (0, 2))]
     axes = [float(correlation[chosen].sum()) / math.sqrt(2) for chosen in along]
     tests = (np.abs(np.array([*correlation, *axes])) - ripple.mean**2 / 4) / error
-    statistic, threshold = float(tests.max()), -float(ndtri(findings.CHANCE / 2 / tests.size))
+    statistic, threshold = float(tests.max()), -float(special.ndtri(findings.CHANCE / 2 / tests.size))
     if statistic <= threshold:
         return
     is_clear = np.abs(correlation) > 3 * error
@@ -273,9 +260,7 @@ def read_noise_findings(
     The fit's chi^2 has as many degrees of freedom as cells, less the parameters. What it is above 1 per degree, the
     errors are to be larger: a misfit of that size along the direction that a parameter moves would shift it so far.
     """
-    from scipy.special import chdtri
-
-    limit = float(chdtri(read.chi2_freedom, 1e-6)) / read.chi2_freedom  # by chance once in a million fits
+    limit = float(special.chdtri(read.chi2_freedom, 1e-6)) / read.chi2_freedom  # by chance once in a million fits
     misfit = math.sqrt(read.chi2_per_dof - 1) if read.chi2_per_dof > limit else 0.0
     error = math.hypot(1.0, misfit) * read.largest_error
     found = list(_find_rounding(read, bias, rows, step_dn, rounding_dn))
@@ -408,11 +393,9 @@ def find_uneven_steps(flats: FlatPairs, transfer: PhotonTransfer) -> Iterator[Fi
 
 def find_flat_correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
     """Yield a finding if noise of neighbouring pixels is correlated in the flats."""
-    from scipy.special import ndtri
-
     correlation, error = transfer.correlation, transfer.correlation_error
     # By chance once in 10,000 ISOs; of 0.2 % of K, a correlation is not worth a word.
-    threshold = float(-ndtri(1e-4 / 2)) * error + 0.002 / _LOST_PER_CORRELATION
+    threshold = float(-special.ndtri(1e-4 / 2)) * error + 0.002 / _LOST_PER_CORRELATION
     if not abs(correlation) > threshold:
         return
     smoothed = "the frames were smoothed or resampled, or the picture moved between the two of a pair"

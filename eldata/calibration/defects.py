@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.sums import FrameSums, sites
+from eldata.calibration.sums import Counts, FrameSums, Mask, Mosaic, Values, sites
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.sums import Counts, Mask, Mosaic, Values
 
 MINIMUM_FRAMES, ADVISED_FRAMES = 4, 10
 """Bias frames that the calibration needs, and that are advised."""

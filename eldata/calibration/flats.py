@@ -18,14 +18,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.sums import FrameSums, channel_histograms, segment_sums
+from eldata.calibration.sums import Counts, FrameSums, Mask, Mosaic, Values, channel_histograms, segment_sums
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.levels import BAYER_CHANNELS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.sums import Counts, Mask, Mosaic, Values
     from eldata.raw.levels import Cfa
 
 SEGMENT = 96
@@ -148,11 +147,6 @@ class FlatPairs(FrameSums):
         super().__init__(cfa, defects)
         self.floor_dn = floor_dn
         self.black = np.asarray(black_level_dn, dtype=np.float64)
-        if self.black.shape != (self.channels,) or not self.black.max() < white_level_dn < math.inf:
-            raise ArgumentError(
-                f"expected {self.channels} black levels, one per CFA channel, and a white level above them; found "
-                f"{black_level_dn} and {white_level_dn} DN"
-            )
         self.limit_dn = float(white_level_dn - MARGIN * (white_level_dn - self.black.max()))
         self._level_dn = (self.limit_dn - float(self.black.min())) / _LEVELS
         self._segments = np.zeros((self.channels, _LEVELS, 2), dtype=np.int64)

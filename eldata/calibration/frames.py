@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.datasets.calibration_frames import flat_pairs
+from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair, flat_pairs
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, UnusableRawError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.table import number_text
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from eldata.calibration.sums import Mosaic
-    from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, RawHeader, Sensor
 
 Crop = tuple[slice, slice]

@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.sums import by_pixel
+from eldata.calibration.sums import Counts, Mosaic, Plane, Values, by_pixel
 
 if TYPE_CHECKING:
     from eldata.calibration.defects import FixedPattern
-    from eldata.calibration.sums import Counts, Mosaic, Plane, Values
     from eldata.noise.parameters import NoiseParameters
     from eldata.records import Sensor
 

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 import numpy as np
 
 from eldata.base.fields import shipped_toml
+from eldata.base.numbers import replace_infinities
 from eldata.base.tables import with_error
-from eldata.calibration.flats import channel_names
+from eldata.calibration.flats import PhotonTransfer, PhotonTransferLine, channel_names
 from eldata.calibration.frames import FramesError
 from eldata.errors import ArgumentError, did_you_mean
 
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
     from eldata.calibration.bias_sums import ColourBias, LineNoise, RowNoise
     from eldata.calibration.defects import PatternSummary
-    from eldata.calibration.flats import PhotonTransfer, PhotonTransferLine
     from eldata.calibration.held_out import Reproduction
     from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
     from eldata.calibration.sums import Plane
@@ -242,8 +242,6 @@ class MeasuredFigure:
         The figure and its standard error with all allowances; nan: withheld, or not known.
     decimals
         Of a figure that has no error.
-    why_withheld
-        Which assumption did not hold; empty if the figure is given.
     is_stated
         Whether it was not measured: somebody has said so.
     """
@@ -254,7 +252,6 @@ class MeasuredFigure:
     error: float = math.nan
     unit: str = ""
     decimals: int | None = None
-    why_withheld: str = ""
     is_stated: bool = False
 
     @property
@@ -367,8 +364,8 @@ class IsoGain:
         scale
             The figure itself by default.
         """
-        if why := self.why(quantity):
-            return replace(figure, value=math.nan, error=math.nan, why_withheld=why)
+        if quantity in self.withheld:
+            return replace(figure, value=math.nan, error=math.nan)
         scale = figure.value if scale is None else scale
         shares = (one.allowance for one in self.findings if quantity in one.figures and one.effect == "wider")
         return replace(figure, error=math.hypot(figure.error, *(share * scale for share in shares)))
@@ -428,19 +425,11 @@ class IsoGain:
             "findings": [asdict(finding) for finding in self.findings],
             "remarks": list(self.all_remarks),
         }
-        return {name: _without_infinities(value) for name, value in data.items()}
+        plain: dict[str, Any] = replace_infinities(data)
+        return plain
 
 
 _GAIN = ("gain_dn_per_e", "K")
-
-
-def _without_infinities(value: Any) -> Any:
-    """Return dictionaries and lists with ``None`` for numbers that are not finite."""
-    if isinstance(value, dict):
-        return {name: _without_infinities(item) for name, item in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [_without_infinities(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -620,7 +609,8 @@ class IsoCalibration(IsoGain):
             "defects": self.pattern.defects,
             "reproduction": None if self.reproduction is None else self.reproduction.as_dict(),
         }
-        return {name: _without_infinities(value) for name, value in data.items()}
+        plain: dict[str, Any] = replace_infinities(data)
+        return plain
 
 
 @dataclass(frozen=True, slots=True)

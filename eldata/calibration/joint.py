@@ -15,14 +15,12 @@ import numpy as np
 
 from eldata.base.numbers import counted
 from eldata.calibration.flats import straight_line
-from eldata.calibration.iso_results import SCALES, STEP, fill_sentence
+from eldata.calibration.iso_results import SCALES, STEP, Finding, IsoCalibration, MeasuredFigure, fill_sentence
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.profile import GainMode, LogLogFit, modes_problem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-
-    from eldata.calibration.iso_results import Finding, IsoCalibration, MeasuredFigure
 
     _Noisy = tuple[IsoCalibration, MeasuredFigure]
 

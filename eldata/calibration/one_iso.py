@@ -14,22 +14,13 @@ import numpy as np
 from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.calibration import checks
+from eldata.calibration import checks, iso_results
 from eldata.calibration.bias_sums import BiasPairs, BiasSums, colour_bias, power_spectrum, row_noise
 from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, fixed_pattern, too_few_frames
 from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.frames import FrameReader, FramesError, measure_frame, measure_pair, unequal_pair
+from eldata.calibration.frames import FrameReader, FramesError, IsoFrames, measure_frame, measure_pair, unequal_pair
 from eldata.calibration.held_out import compared_piece, reproduction
-from eldata.calibration.iso_results import (
-    CLIPPED,
-    NO_LINE,
-    SHAPE,
-    TRANSFER,
-    IsoCalibration,
-    IsoGain,
-    accept_findings,
-    fill_sentence,
-)
+from eldata.calibration.iso_results import IsoCalibration, IsoGain, accept_findings, fill_sentence
 from eldata.calibration.residuals import probability_plot, read_noise, single_frame_plot
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
@@ -40,7 +31,6 @@ if TYPE_CHECKING:
 
     from eldata.calibration.bias_sums import BiasStatistics, ResidualHistogram
     from eldata.calibration.defects import FixedPattern
-    from eldata.calibration.frames import IsoFrames
     from eldata.calibration.iso_results import Finding
     from eldata.calibration.sums import Mosaic
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
@@ -87,7 +77,8 @@ def calibrate_iso(
             if isinstance(error, FramesError) or not chosen.pairs:
                 raise
             text = f"the bias frames cannot be used: {error}"
-            return _measure_gain(start(), chosen, SHAPE.withhold(math.nan, math.nan, text, CLIPPED.figures))
+            lost = iso_results.SHAPE.withhold(math.nan, math.nan, text, iso_results.CLIPPED.figures)
+            return _measure_gain(start(), chosen, lost)
 
 
 def bias_pattern(
@@ -255,16 +246,18 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
     reader.refuse()
     remarks += flat_remarks(chosen)
     if flats is None or not flats.frames:
-        return make_record(TRANSFER.withhold(math.nan, math.nan, "no pair of flats is usable"))
+        return make_record(iso_results.TRANSFER.withhold(math.nan, math.nan, "no pair of flats is usable"))
     step = checks.code_step(flats.counts[:, : math.ceil(flats.limit_dn)])
     of_saturation = tuple(checks.find_saturation(flats))
     try:
         transfer = photon_transfer(flats)
     except DatasetError as error:
         text = f"{error}; pairs used: {', '.join(used)}"
-        return make_record(*of_saturation, TRANSFER.withhold(math.nan, math.nan, text), flat_frames=flats.frames)
+        lost = iso_results.TRANSFER.withhold(math.nan, math.nan, text)
+        return make_record(*of_saturation, lost, flat_frames=flats.frames)
     of_line, spatial = (*checks.find_flat_correlation(transfer), *checks.find_bent_line(transfer)), None
-    if all(finding.check != NO_LINE.name for finding in of_line):  # of a scene, a frame's variance is the scene's own
+    # Of a scene, a frame's variance is the scene's own.
+    if iso_results.NO_LINE.name not in [finding.check for finding in of_line]:
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(flats)
     of_steps = checks.find_uneven_steps(flats, transfer)

@@ -22,8 +22,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy import optimize, special
 
-from eldata.calibration.bias_sums import CELLS_PER_SIGMA, count_frame
+from eldata.calibration.bias_sums import CELLS_PER_SIGMA, ResidualHistogram, count_frame
 from eldata.calibration.tukey_lambda import (
     HIGHEST,
     LOWEST,
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.bias_sums import ResidualHistogram
     from eldata.calibration.defects import FixedPattern
     from eldata.calibration.sums import Counts, Mosaic, Values
 
@@ -212,14 +212,12 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
 
 def probability_plot(histogram: ResidualHistogram, read: ReadNoise) -> ProbabilityPlot:
     """Return the points of the two probability plots that :func:`read_noise` has taken its R^2 of ``read`` from."""
-    from scipy.special import ndtr, ndtri
-
     inner = histogram.counts[:, 1:-1].sum(axis=0)
     number = int(inner.sum())
     values, shape = histogram.values_dn[1:-1], read.ppcc_lambda_plain
-    reach = float(-ndtri(100 / number)) if number > 1000 else 1.28
+    reach = float(-special.ndtri(100 / number)) if number > 1000 else 1.28
     normal = np.linspace(-reach, reach, PLOT_POINTS)
-    levels = ndtr(normal)
+    levels = special.ndtr(normal)
     below = (np.cumsum(inner) - inner / 2) / number  # at the cells' centres
     filled = inner > 0
     return ProbabilityPlot(
@@ -259,8 +257,6 @@ def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:
     counts
         How often each occurred.
     """
-    from scipy.optimize import minimize_scalar
-
     used = counts > 1e-12 * np.max(counts)
     values, weights = values[used], np.asarray(counts, dtype=np.float64)[used]
     shapes = np.linspace(-0.45, 0.55, 41)
@@ -268,11 +264,10 @@ def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:
     best = int(curve.argmax())
     around = (float(shapes[max(best - 1, 0)]), float(shapes[min(best + 1, 40)]) + (best == 40) * 1.4)
 
-    def negate_correlation(shape: float) -> float:
-        """Negate the correlation, which is to be highest, for a minimiser."""
-        return -correlation(values, weights, float(shape))[0]
-
-    shape = float(minimize_scalar(negate_correlation, bounds=around, method="bounded", options={"xatol": 1e-6}).x)
+    highest = optimize.minimize_scalar(
+        lambda shape: -correlation(values, weights, shape)[0], bounds=around, method="bounded", options={"xatol": 1e-6}
+    )
+    shape = float(highest.x)
     return shape, correlation(values, weights, shape)[1], np.stack([shapes, curve])
 
 
@@ -368,8 +363,6 @@ class ResidualFit:
     def covariance(self) -> Values:
         """(2, 2) of shape and ln scale, from the scatter between groups of rows."""
         groups = len(self.influence)
-        if groups < 8:
-            return self.information
         return np.asarray(self.influence.T @ self.influence * groups / (groups - 1))
 
     def chi2_per_dof(self) -> tuple[float, int]:

@@ -275,7 +275,6 @@ class Calibration:
             def draw_transfer(axes: Axes, theme: Theme) -> None:
                 """Draw the photon transfer of the chosen ISO."""
                 plots.transfer_lines(axes, None, *transfers[chosen], theme)
-                axes.set_xlabel("signal [DN]")
 
             draws.append((f"photon transfer, ISO {chosen:g}", draw_transfer))
         if gains := {record.iso: record.gain for record in self.all_isos if record.gain is not None}:

@@ -12,21 +12,19 @@ from tqdm import tqdm
 
 from eldata import __version__
 from eldata.base.numbers import counted
-from eldata.base.workers import Workers
+from eldata.base.workers import AnyWorkers, Workers
 from eldata.calibration.frames import sort_frames
 from eldata.calibration.one_iso import bias_pattern
-from eldata.calibration.sums import by_pixel, sites
+from eldata.calibration.sums import Counts, Mask, Plane, by_pixel, sites
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.dark_shading import DarkShading, ShadingIso
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from eldata.base.workers import AnyWorkers
     from eldata.calibration.defects import FixedPattern
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
-    from eldata.calibration.sums import Counts, Mask, Plane
     from eldata.datasets.calibration_frames import CalibrationFrames
 
 _REACH = 2  # periods of the CFA around a hot pixel, whose sound pixels stand for it

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from scipy import interpolate, special
 
 from eldata.base.compiled import kernel
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
-    from typing import TypeAlias
-
-    from scipy.interpolate import PchipInterpolator
-
     from eldata.calibration.sums import Values
 
     Nodes: TypeAlias = tuple[Values, Values]
@@ -66,9 +63,7 @@ def tukey_lambda_tail(x: Any, shape: float) -> Any:
 
 def tukey_lambda_quantile(levels: Values, shape: float, above: Values | None = None) -> Values:
     """Return quantiles ``(u^l - v^l) / l`` of scale 1, v = 1 - u, and their limit ``ln(u / v)`` at l = 0."""
-    from scipy.special import boxcox
-
-    return np.asarray(boxcox(levels, shape) - boxcox(1 - levels if above is None else above, shape))
+    return np.asarray(special.boxcox(levels, shape) - special.boxcox(1 - levels if above is None else above, shape))
 
 
 @kernel
@@ -81,7 +76,7 @@ def smoothed_tails(x: Values, shape: float, scale: float, nodes: Values, weights
     return tails
 
 
-def _look_up(logs: PchipInterpolator, unit: float, edges: Values, others: Nodes) -> Values:
+def _look_up(logs: interpolate.PchipInterpolator, unit: float, edges: Values, others: Nodes) -> Values:
     """Return P(X + Z > edge) for each edge: X by the logarithms of its tails in steps of ``unit``, Z discrete."""
     values, chances = others
     away = np.subtract.outer(edges, values) / unit
@@ -152,13 +147,11 @@ class ResidualModel:
 
     def tails(self, edges: Values, shape: float, sigma: float) -> Values:
         """Return P(residual > edge) for each edge."""
-        from scipy.interpolate import PchipInterpolator
-
         unit = math.sqrt(sigma**2 * tukey_lambda_variance(shape) + self.rounding_dn**2 / 12)
         rounding = _LEGENDRE[0] * (self.rounding_dn / 2), _LEGENDRE[1] / 2
         of_table = smoothed_tails(unit * np.sinh(_TABLE), shape, sigma, *rounding)
         # Monotone, as tails of a positive shape end: a spline would ring there.
-        logs = PchipInterpolator(_TABLE, np.log(np.maximum(of_table, 1e-40)))
+        logs = interpolate.PchipInterpolator(_TABLE, np.log(np.maximum(of_table, 1e-40)))
         return _look_up(logs, self.own * unit, edges, self._others(logs, unit))
 
     def probabilities(self, edges: Values, shape: float, sigma: float) -> Values:
@@ -167,7 +160,7 @@ class ResidualModel:
         tails[0] = 0.5
         return np.maximum(-2 * np.diff(tails, append=0.0), 1e-300)
 
-    def _others(self, logs: PchipInterpolator, unit: float) -> Nodes:
+    def _others(self, logs: interpolate.PchipInterpolator, unit: float) -> Nodes:
         """Return the distribution of other pixels' noise, Z, as nodes and weights."""
         variance = self.own * (1 - self.own) * unit**2
         if variance <= 0:
@@ -228,11 +221,9 @@ def correlation(values: Values, counts: Values, shape: float) -> tuple[float, fl
 
 def normal_correlation(values: Values, counts: Values) -> tuple[float, float]:
     """Return correlation and slope of the normal probability plot: the quantile's integral is minus the density."""
-    from scipy.special import ndtri
-
     total = float(counts.sum())
     below, above = np.cumsum(counts)[:-1] / total, np.cumsum(counts[::-1])[::-1][1:] / total
-    quantiles = np.where(below < above, ndtri(below), -ndtri(above))
+    quantiles = np.where(below < above, special.ndtri(below), -special.ndtri(above))
     density = np.concatenate([[0.0], np.exp(-0.5 * quantiles**2) / math.sqrt(2 * math.pi), [0.0]])
     blocks, weights = -np.diff(density), counts / total
     second = np.concatenate([[0.0], below - quantiles * density[1:-1], [1.0]])  # the integral of the square
@@ -242,10 +233,10 @@ def normal_correlation(values: Values, counts: Values) -> tuple[float, float]:
 
 def _integrate_quantile(below: Values, above: Values, shape: float) -> Values:
     """Integrate the quantile function of scale 1 from 0 to each level ``below``; ``above`` = 1 - level."""
-    from scipy.special import boxcox
-
     with np.errstate(divide="ignore", invalid="ignore"):
-        terms = [np.where(share > 0, share * boxcox(share, shape), 0.0) for share in (below, above)]  # 0 ln 0 is 0
+        terms = [
+            np.where(share > 0, share * special.boxcox(share, shape), 0.0) for share in (below, above)
+        ]  # 0 ln 0 is 0
     return np.asarray((terms[0] + terms[1]) / (shape + 1))
 
 

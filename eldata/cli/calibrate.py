@@ -18,7 +18,6 @@ from argparse import ArgumentTypeError
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.console import add_output
 from eldata.base.numbers import counted, number_of, whole_of
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError
@@ -34,10 +33,10 @@ def add_options(parser: console.Parser) -> None:
     """Add the options of `eldata calibrate`."""
     text = "folder with CAMERA/{bias,flat}/ISO100/..., a camera's own folder, a manifest (.csv) or a set's name"
     parser.add_argument("frames", metavar="FRAMES", help=text)
-    add_output(parser, "-o", "--output", help="write the camera profile to FILE (JSON)")
-    add_output(parser, "--html", help="write a report with plots to FILE")
+    console.add_output(parser, "-o", "--output", help="write the camera profile to FILE (JSON)")
+    console.add_output(parser, "--html", help="write a report with plots to FILE")
     text = "write the dark shading (a line over ISO in each pixel, black level errors) to FILE (.npz)"
-    add_output(parser, "--dark-shading", help=text)
+    console.add_output(parser, "--dark-shading", help=text)
     text = "K in DN per photoelectron at an ISO without flats, or a profile of the camera; may be repeated"
     parser.add_argument(
         "--gain", action="append", dest="gains", default=[], type=_read_gain, metavar="ISO=K", help=text

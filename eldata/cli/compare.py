@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.console import add_output
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
 
@@ -30,7 +29,7 @@ def add_options(parser: console.Parser) -> None:
     text = "name of a method; once per file, in their order (default: the file's name)"
     parser.add_argument("--name", action="append", default=[], dest="names", metavar="NAME", help=text)
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
-    add_output(parser, "--html", help="write a page with plots and the biggest differences to FILE")
+    console.add_output(parser, "--html", help="write a page with plots and the biggest differences to FILE")
     text = (
         "with --html: draw every common image into the folder FILE-pictures: the part in which the "
         "methods differ most, or all of it; needs the raw files and the predictions"

@@ -16,16 +16,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldata.base import console
-from eldata.base.console import add_output
 from eldata.base.files import refuse_among
-from eldata.base.tables import FORMATS
+from eldata.base.tables import FORMATS, Format
 from eldata.cli.baseline import add_pairs, add_set
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from eldata.base.tables import Format
     from eldata.base.workers import Workers
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.request import Request
@@ -41,8 +39,8 @@ def add_options(parser: console.Parser) -> None:
     text = "name in eldata protocols, or a TOML file (default: the set's own; raw for your own set)"
     parser.add_argument("--protocol", metavar="P", help=text)
     console.add_cameras(parser)
-    add_output(parser, "--csv", help="write each image's score; -: to standard output")
-    add_output(parser, "--html", help="write a page with plots and pictures to FILE")
+    console.add_output(parser, "--csv", help="write each image's score; -: to standard output")
+    console.add_output(parser, "--html", help="write a page with plots and pictures to FILE")
     rare = parser.add_argument_group("less common options")
     add_pairs(rare)
     text = "leave out pairs with this flag; may be repeated"

@@ -10,14 +10,9 @@ the datasets, and eldata verify NAME finds it there.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from eldata.base import console
 from eldata.base.numbers import counted
-from eldata.manifest.lock import lock
-
-if TYPE_CHECKING:
-    from eldata.manifest.lock import LockReport
+from eldata.manifest.lock import LockReport, lock
 
 
 def add_options(parser: console.Parser) -> None:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.console import add_output
 from eldata.base.numbers import counted
 from eldata.errors import ArgumentError
 
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 def add_options(parser: console.Parser) -> None:
     """Add the options of `eldata manifest`."""
     parser.add_argument("folder", metavar="FOLDER", help="the set's own folder, in the folder that holds the datasets")
-    add_output(
+    console.add_output(
         parser,
         "-o",
         "--output",

@@ -17,11 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.console import add_output
 from eldata.base.files import folder_problem, refuse_among
 from eldata.base.numbers import counted
 from eldata.cli.baseline import add_pairs
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
     from eldata.sources.store.write import Source
@@ -34,7 +33,7 @@ def add_options(parser: console.Parser) -> None:
     """Add the options of `eldata pack`."""
     text = "a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), its manifest, or a folder of clean raws"
     parser.add_argument("dataset", metavar="DATASET", help=text)
-    add_output(parser, "-o", "--output", metavar="STORE", required=True, help="a new file, such as store.h5")
+    console.add_output(parser, "-o", "--output", metavar="STORE", required=True, help="a new file, such as store.h5")
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, instead of the shipped one")
     parser.add_argument("--reference", metavar="PATTERN", help=REFERENCE_HELP)
     parser.add_argument("--split", action="append", metavar="S", help="only this split; may be repeated")
@@ -86,7 +85,6 @@ def _choose_source(arguments: console.Arguments) -> Source:
 
 def _find_calibration(arguments: console.Arguments) -> Source:
     """Open the folder of calibration frames, of one camera or all."""
-    from eldata.errors import DatasetError
     from eldata.manifest.catalogue import data_root
     from eldata.sources.store.write import source_of_folder
 

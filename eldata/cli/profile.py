@@ -12,7 +12,7 @@ import shlex
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.console import add_output
+from eldata.base.tables import one_line, text_table, wrapped
 
 if TYPE_CHECKING:
     from eldata.noise.profile import CameraProfile
@@ -26,7 +26,7 @@ def add_options(parser: console.Parser) -> None:
     console.add_shared(show, run_show, json=True)
     importing = console.add_command(subcommands, "import", run_import.__doc__)
     importing.add_argument("file", metavar="FILE", help="the parameters, JSON")
-    add_output(importing, "-o", "--output", help="write the camera profile to FILE (JSON)", required=True)
+    console.add_output(importing, "-o", "--output", help="write the camera profile to FILE (JSON)", required=True)
     importing.add_argument("--camera", metavar="NAME", help="the camera's name (default: the file's, less _params)")
     text = "which of several calibrations in the file, such as Profile-2 (default: the only one)"
     importing.add_argument("--calibration", metavar="NAME", help=text)
@@ -52,8 +52,6 @@ def run_show(arguments: console.Arguments) -> int:
 
 def _format_facts(profile: CameraProfile) -> list[str]:
     """Format the facts on a camera, a line each."""
-    from eldata.base.tables import one_line, wrapped
-
     low, high = profile.gain_range_dn_per_e
     frames = sum(len(row.frame_bias_dn) for row in profile.rows)
     facts = [
@@ -77,7 +75,6 @@ def _format_facts(profile: CameraProfile) -> list[str]:
 
 def _format_rows(profile: CameraProfile) -> list[str]:
     """Describe the figures at each ISO, and the lines over K."""
-    from eldata.base.tables import text_table
 
     def format_cell(value: float | None) -> str:
         return "-" if value is None else f"{value:.4g}"
@@ -150,30 +147,16 @@ def run_list(arguments: console.Arguments) -> int:
 
         eldata profile list
     """
-    from eldata.base.tables import text_table
     from eldata.noise.profile import CameraProfile, shipped_profiles
 
-    profiles = {name: CameraProfile.load(name) for name in shipped_profiles()}
-    rows = []
-    for name, profile in profiles.items():
+    rows, listed = [], []
+    for name in shipped_profiles():
+        profile = CameraProfile.load(name)
         low, high = profile.gain_range_dn_per_e
         isos = "-" if profile.iso_range is None else "{:g} to {:g}".format(*profile.iso_range)
         rows.append((name, f"{low:.4g} to {high:.4g}", isos, str(len(profile.rows)), profile.source))
-    listed = [
-        {
-            "profile": name,
-            "camera": profile.camera,
-            "gain_range_dn_per_e": profile.gain_range_dn_per_e,
-            "iso_range": profile.iso_range,
-            "rows": len(profile.rows),
-            "source": profile.source,
-        }
-        for name, profile in profiles.items()
-    ]
+        facts = {field: getattr(profile, field) for field in ("camera", "gain_range_dn_per_e", "iso_range")}
+        listed.append({"profile": name} | facts | {"rows": len(profile.rows), "source": profile.source})
     header = ("profile", "gain [DN/e-]", "ISO", "rows", "source")
-
-    def format_text() -> str:
-        return text_table(header, rows, left=(0, 4))
-
-    console.show_and_write(arguments, format_text, lambda: listed)
+    console.show_and_write(arguments, lambda: text_table(header, rows, left=(0, 4)), lambda: listed)
     return console.OK

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from eldata.base import console
+from eldata.base.tables import text_table, wrapped
 
 if TYPE_CHECKING:
     from eldata.protocols.protocol import Protocol
@@ -37,7 +38,6 @@ def add_options(parser: console.Parser) -> None:
 
 def run(arguments: console.Arguments) -> int:
     """List the protocols, or show some (`eldata protocols`)."""
-    from eldata.base.tables import text_table
     from eldata.protocols.named import PROTOCOLS
     from eldata.protocols.words import HEADER, summary
 
@@ -87,7 +87,6 @@ def _choose_protocols(names: list[str], dataset: str | None) -> list[Protocol]:
 
 def _format_protocol(protocol: Protocol) -> str:
     """List a protocol's rules, source and digest, a line each."""
-    from eldata.base.tables import wrapped
     from eldata.protocols.words import described
 
     rows = [*described(protocol), ("source", protocol.source), ("digest", protocol.digest)]

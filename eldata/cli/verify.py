@@ -19,11 +19,10 @@ from typing import TYPE_CHECKING
 from eldata.base import console
 from eldata.errors import ArgumentError
 from eldata.manifest.verify import verify
-from eldata.manifest.verify_report import LEVELS
+from eldata.manifest.verify_report import LEVELS, VerifyReport
 
 if TYPE_CHECKING:
     from eldata.base.workers import Workers
-    from eldata.manifest.verify_report import VerifyReport
 
 
 def add_options(parser: console.Parser) -> None:

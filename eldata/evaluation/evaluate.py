@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -28,25 +28,20 @@ from eldata.evaluation.request import (
     stated_setting,
 )
 from eldata.evaluation.results import THE_INPUT, EvaluationResult, kind_of
-from eldata.evaluation.score import score_predictions, yield_compared
-from eldata.evaluation.scores import EvaluationProblem, table_of
+from eldata.evaluation.score import PairOutcome, score_predictions, yield_compared
+from eldata.evaluation.scores import EvaluationProblem, Pair, table_of
 from eldata.evaluation.tasks import task_note
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.protocols.protocol import CHOICES, ONE_CAMERAS_LEVELS
+from eldata.protocols.protocol import CHOICES, ONE_CAMERAS_LEVELS, Protocol
 from eldata.protocols.words import LEVELS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Sequence
-
     import numpy as np
     from numpy.typing import NDArray
 
     from eldata.base.workers import AnyWorkers
     from eldata.evaluation.request import Baseline, ScoringPlan
-    from eldata.evaluation.score import PairOutcome
-    from eldata.evaluation.scores import Pair
     from eldata.evaluation.tasks import Task, TaskFunction
-    from eldata.protocols.protocol import Protocol
 
 COMPARISON = "comparison"
 """The name of the comparison's files, which no method may have."""

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from eldata.base.numbers import natural
 from eldata.errors import ArgumentError, PredictionError
 from eldata.evaluation.predictions import find_predictions
 from eldata.evaluation.request import make_request, plan_scoring, require_folder
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.score import Scoring, read_input, read_prediction, read_reference, treat_prediction
-from eldata.evaluation.scores import FrameScore, cameras_in_order, natural, short_digest
+from eldata.evaluation.scores import FrameScore, Pair, UnitScore, cameras_in_order, short_digest
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
 from eldata.isp.rendering import brightening, preview
 from eldata.manifest.catalogue import FrameFiles
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.scores import Pair, UnitScore
     from eldata.plots.scores import Strip
     from eldata.records import Sensor
 

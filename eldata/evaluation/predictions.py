@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from eldata.base.arrays import read_array
+from eldata.base.arrays import Declared, read_array
 from eldata.base.files import atomic_write, file_problem, folder_problem, split_member, visible_below
 from eldata.base.numbers import counted
 from eldata.errors import ArgumentError, EldataError, PredictionError, RawFileError
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.base.arrays import Declared
     from eldata.manifest.clips import ClipRecord
     from eldata.protocols.protocol import Levels
     from eldata.records import Sensor

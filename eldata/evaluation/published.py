@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from eldata.base.fields import Fields, TextFile, TextRow, names_of
 from eldata.base.tables import text_table, wrapped
 from eldata.errors import ManifestError
-from eldata.evaluation.results import saved_result
+from eldata.evaluation.results import EvaluationResult, saved_result
 from eldata.evaluation.scores import TableRow, factor_text
 from eldata.manifest.catalogue import shipped_folder
 from eldata.protocols.named import PROTOCOLS
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from eldata.evaluation.results import EvaluationResult
 
 COLUMNS = (
     *("source", "table", "dataset", "camera", "subset", "protocol", "ratio", "pairs", "method"),

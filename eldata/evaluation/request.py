@@ -13,17 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from eldata.base.fields import TextFile
 from eldata.base.files import inside
-from eldata.base.workers import IN_THIS_PROCESS, Workers
+from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Workers
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.evaluation.tasks import Task
 from eldata.manifest.card import find_subset
-from eldata.manifest.catalogue import (
-    FrameFiles,
-    Manifest,
-    find_manifest,
-    shipped_manifest,
-    shipped_names,
-)
+from eldata.manifest.catalogue import FrameFiles, Manifest, find_manifest, shipped_manifest, shipped_names
 from eldata.manifest.clips import choose_clips, clip_place, clips_of, windows
 from eldata.manifest.layouts import describe_layout
 from eldata.manifest.pair_checks import white_remarks
@@ -31,20 +25,17 @@ from eldata.manifest.pairs import Choice, as_values, unpaired
 from eldata.manifest.patterns import expand, is_pattern, is_png
 from eldata.manifest.verify import check_files
 from eldata.metrics.registry import IMAGES, Kind
-from eldata.noise.dark_shading import dark_shading_in
+from eldata.noise.dark_shading import DarkShading, dark_shading_in
 from eldata.protocols.named import PROTOCOLS, default_protocol, get_protocol, protocols_for
-from eldata.protocols.protocol import NO_SHADING, OWN_SEQUENCES, ClipProtocol
+from eldata.protocols.protocol import NO_SHADING, OWN_SEQUENCES, ClipProtocol, Protocol
 from eldata.protocols.words import FIELDS, in_words
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
-    from eldata.base.workers import AnyWorkers
     from eldata.evaluation.scores import Pair
     from eldata.evaluation.tasks import TaskFunction
     from eldata.manifest.verify_report import Level
-    from eldata.noise.dark_shading import DarkShading
-    from eldata.protocols.protocol import Protocol
     from eldata.raw.levels import MeanLevels
     from eldata.records import FrameRecord
 

@@ -34,8 +34,8 @@ from eldata.evaluation.scores import (
     short_digest,
 )
 from eldata.evaluation.tasks import stated_figure
-from eldata.metrics.registry import CLIPS, IMAGES
-from eldata.protocols.protocol import CHOOSING, NO_SHADING, OF_INPUT, StatedProtocol
+from eldata.metrics.registry import CLIPS, IMAGES, Kind
+from eldata.protocols.protocol import CHOOSING, NO_SHADING, OF_INPUT, Protocol, StatedProtocol
 from eldata.protocols.words import comparability
 
 if TYPE_CHECKING:
@@ -49,10 +49,8 @@ if TYPE_CHECKING:
     from eldata.base.tables import Format
     from eldata.evaluation.scores import Pair
     from eldata.evaluation.statistics import Interval
-    from eldata.metrics.registry import Kind
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip
-    from eldata.protocols.protocol import Protocol
 
 Record = TypeVar("Record", EvaluationProblem, FrameScore, Suspicion)
 

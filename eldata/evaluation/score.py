@@ -21,11 +21,15 @@ from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, P
 from eldata.evaluation.diagnosis import Inspection, choose_frames, find_mistake, sketch
 from eldata.evaluation.mistakes import Circumstances
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
-from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
+from eldata.evaluation.scores import EvaluationProblem, FrameScore, Pair, UnitScore, mean
+from eldata.isp.libraw import render_libraw
+from eldata.isp.rendering import render_pair_for_scoring, render_to_8_bits
 from eldata.manifest.clips import ClipRecord
+from eldata.metrics.image_score import Score, ScoringRules, as_compared, factor_by, score_by
 from eldata.metrics.registry import OF_FRAMES
+from eldata.metrics.similarity import treated
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.protocols.protocol import NO_SHADING, Amplification, ClipProtocol, Levels
+from eldata.protocols.protocol import NO_SHADING, Amplification, ClipProtocol, Levels, Protocol
 from eldata.raw.levels import check_in_dn, packed_black_level_dn, unpack
 from eldata.sources.frames import Files, Frame
 from eldata.sources.pairs import PairOpener, find_ratio
@@ -36,11 +40,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.evaluation.request import Request
-    from eldata.evaluation.scores import Pair
     from eldata.evaluation.tasks import Shown, Task, TaskImages
     from eldata.manifest.catalogue import FrameFiles
-    from eldata.metrics.image_score import Score, ScoringRules
-    from eldata.protocols.protocol import Protocol
     from eldata.records import Sensor
 
     Image: TypeAlias = NDArray[Any]
@@ -317,8 +318,6 @@ def _score_pair(
 
 def _score_frame(how: Scoring, path: str, prediction: Image, reference: Reference) -> tuple[Score, dict[str, float]]:
     """Return the score of a frame, and the values of other metrics and of the task by their names."""
-    from eldata.metrics.image_score import Score
-
     frame, target = reference
     score = score_image(how, frame, prediction, target)
     named = {field.name for field in fields(Score)}
@@ -421,8 +420,6 @@ def read_reference(how: Scoring, path: str) -> Reference:
     """Decode a reference: the frame without its pixels, and what predictions are compared with, (C, h, w)."""
     protocol = how.protocol
     if protocol.pixels == "srgb" and not protocol.is_of_packed:
-        from eldata.isp.libraw import render_libraw
-
         codes = render_libraw(inside(how.files.folder, path)).transpose(2, 0, 1)
         image = np.ascontiguousarray(codes).astype(np.float32)
         image /= np.float32(255)
@@ -445,8 +442,6 @@ def _render_if_srgb(image: Image, frame: Frame, protocol: Protocol) -> Image:
     """
     if protocol.pixels != "srgb":
         return image
-    from eldata.isp.rendering import render_to_8_bits
-
     return render_to_8_bits(image, _require_sensor(frame), response=protocol.curve) / 255.0
 
 
@@ -502,8 +497,6 @@ def cut_to_dn(packed: Image, levels: Frame | Sensor, dtype: type[np.floating[Any
 
 def score_image(how: Scoring, frame: Frame, prediction: Image, target: Image) -> Score:
     """Score the region of a prediction, (C, h, w), against its reference; ``frame`` is the reference's."""
-    from eldata.metrics.image_score import score_by
-
     protocol, rules, crop = how.protocol, how.protocol.rules, how.protocol.crop(target.shape)
     factor = _find_factor(how, prediction, target)
     if _compares_renderings(protocol):  # the prediction was rescaled in raw, and codes are compared
@@ -516,8 +509,6 @@ def score_image(how: Scoring, frame: Frame, prediction: Image, target: Image) ->
 
 def _find_factor(how: Scoring, prediction: Image, target: Image) -> float:
     """Find the factor that brings a prediction nearest to its reference, both (C, h, w)."""
-    from eldata.metrics.image_score import factor_by
-
     part = how.protocol.factor_crop(target.shape)
     return factor_by(prediction[part], target[part], how.protocol.rules, threads=how.threads)
 
@@ -539,8 +530,6 @@ def _render_codes(
     how: Scoring, frame: Frame, prediction: Image, target: Image, factor: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Render a packed raw prediction, rescaled in raw, and its reference: sRGB codes of 8 bits, (3, h, w)."""
-    from eldata.isp.rendering import render_pair_for_scoring
-
     treated = treat_prediction(prediction, how.protocol.rules, factor, np.float64)
     codes = render_pair_for_scoring(treated, target, _require_sensor(frame), response=how.protocol.curve)
     return codes[0].astype(np.float32), codes[1].astype(np.float32)
@@ -550,8 +539,6 @@ def treat_images(
     how: Scoring, frame: Frame, prediction: Image, target: Image, factor: float, images: TaskImages = "compared"
 ) -> Shown:
     """Return prediction and reference of the region as the protocol compares them, or in sRGB or packed raw."""
-    from eldata.metrics.image_score import as_compared
-
     protocol, crop = how.protocol, how.protocol.crop(target.shape)
     p, g = prediction[crop], target[crop]
     is_rendered = _compares_renderings(protocol)
@@ -565,8 +552,6 @@ def treat_images(
 
 def treat_prediction(prediction: Image, rules: ScoringRules, factor: float, dtype: Any) -> Image:
     """Return a prediction clamped and multiplied as rules have it, (C, h, w); the arithmetic is float64."""
-    from eldata.metrics.similarity import treated
-
     result = np.empty(prediction.shape, dtype)
     for channel, plane in enumerate(prediction):  # the float64 intermediates are 8 bytes per pixel
         result[channel] = treated(plane, rules.treatment(factor))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from eldata.base.numbers import natural, replace_infinities
 from eldata.base.visible import in_line
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clips import ClipRecord
@@ -137,18 +137,8 @@ def means(scores: Sequence[UnitScore], names: Iterable[str]) -> dict[str, float]
 
 def json_object(values: dict[str, Any]) -> dict[str, Any]:
     """Return plain types as JSON has them: nan as ``None``, infinities as text."""
-    return {key: _json_safe(value) for key, value in values.items()}
-
-
-def _json_safe(value: Any) -> Any:
-    """Replace nan and infinities in nested plain types by ``None`` and text."""
-    if isinstance(value, dict):
-        return json_object(value)
-    if isinstance(value, (list, tuple)):
-        return [_json_safe(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(value)
-    return value
+    plain: dict[str, Any] = replace_infinities(values, lambda value: None if math.isnan(value) else str(value))
+    return plain
 
 
 def csv_number(value: object) -> object:
@@ -280,12 +270,6 @@ def short_digest(digest: str) -> str:
 
 
 # --- the order in which people read -----------------------------------------------------------------------------------
-
-
-def natural(text: str) -> tuple[tuple[int, int, str], ...]:
-    """Return a key that sorts texts with the numbers in them as numbers: ``scene-2`` before ``scene-10``."""
-    parts = re.split(r"([0-9]+)", text)
-    return tuple((0, int(part), part) if index % 2 else (1, 0, part) for index, part in enumerate(parts) if part)
 
 
 def cameras_in_order(cameras: Iterable[str], dataset: str) -> list[str]:

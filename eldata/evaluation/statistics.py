@@ -22,14 +22,13 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from eldata.errors import ArgumentError
-from eldata.evaluation.scores import mean
+from eldata.evaluation.scores import UnitScore, mean
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.scores import UnitScore
 
 Values: TypeAlias = "Sequence[float] | NDArray[np.float64]"
 

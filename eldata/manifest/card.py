@@ -238,8 +238,16 @@ def counts_of(records: Iterable[FrameRecord]) -> dict[str, int]:
     return dict(sorted(Counter(str(record.role) for record in records).items()))
 
 
-def title_of_set(records: Sequence[FrameRecord], scenes: int) -> str:
-    """Return a title for a set of so many scenes, from its roles and cameras."""
+def own_card(name: str, folder: str, records: Sequence[FrameRecord], **fields: Any) -> Card:
+    """Make the card of a set of one's own; what only its owner knows, such as the licence, is left to fill in."""
+    unknown: dict[str, Any] = dict.fromkeys(("citation", "licence", "homepage"), "not stated")
+    title, counts = title_of_set(records), counts_of(records)
+    return Card(name=name, title=title, version="1.0", folder=folder, counts=counts, **unknown, **fields)
+
+
+def title_of_set(records: Sequence[FrameRecord]) -> str:
+    """Return a title for a set, from its scenes, roles and cameras."""
+    scenes = len({record.scene for record in records} - {""})
     what = [counted(scenes, "scene")] if scenes else []
     what += ["calibration frames"] if {"bias", "flat"} & set(counts_of(records)) else []
     cameras = dict.fromkeys(sorted(record.camera for record in records))

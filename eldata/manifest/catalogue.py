@@ -23,14 +23,12 @@ from eldata.errors import ArgumentError, EldataError, ManifestError, did_you_mea
 from eldata.manifest.card import Card, card_text, counts_of, load_card, save_card
 from eldata.manifest.patterns import expand, is_pattern, matching
 from eldata.manifest.table import load_table, table_text
-from eldata.raw.stated import StatedFile
-from eldata.records import Exposure
+from eldata.raw.stated import MosaicFacts, StatedFile
+from eldata.records import Exposure, FrameRecord
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
-    from eldata.raw.stated import MosaicFacts
-    from eldata.records import FrameRecord
 
 ROOT_VARIABLE = "ELDATA_ROOT"
 _NEAR = 64  # folders of a place that are looked into

@@ -18,7 +18,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Literal, get_args
 
 from eldata.errors import ArgumentError, DatasetError, ManifestError, check_choice
-from eldata.manifest.card import find_subset
+from eldata.manifest.card import Subset, find_subset
 from eldata.manifest.pairs import Choice, filter_rows
 from eldata.manifest.patterns import is_pattern, sequence_of
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
     from fractions import Fraction
 
-    from eldata.manifest.card import Subset
     from eldata.records import FrameRecord
 
 FrameRange = Literal["all", "authors", "evaluation"]

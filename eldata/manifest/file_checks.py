@@ -11,7 +11,7 @@ from eldata.errors import FileError, RawFileError, UnusableRawError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.patterns import is_png
 from eldata.manifest.table import number_text
-from eldata.manifest.verify_report import COPY_AGAIN, Problem, row_fault
+from eldata.manifest.verify_report import COPY_AGAIN, Level, Problem, row_fault
 from eldata.raw.stated import StatedFile
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from eldata.manifest.card import CameraCard
     from eldata.manifest.catalogue import FrameFiles
-    from eldata.manifest.verify_report import Level
     from eldata.raw.levels import MeanLevels
     from eldata.records import FrameRecord, RawHeader, Sensor
 

@@ -31,18 +31,16 @@ from typing import TYPE_CHECKING
 
 from eldata.base.files import visible_below
 from eldata.errors import DatasetError
-from eldata.manifest.card import counts_of
+from eldata.manifest.card import Card, counts_of
 from eldata.manifest.catalogue import Manifest, save_manifest, shipped_manifest
 from eldata.manifest.clips import clip_names
 from eldata.manifest.patterns import is_pattern
 from eldata.raw.files import is_raw
-from eldata.records import FrameRecord
+from eldata.records import FrameRecord, Role
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-    from eldata.manifest.card import Card
-    from eldata.records import Role
 
 REFERENCE_NUMBERS = (1, 6, 11, 16)
 NOISY_ISOS = (800, 1600, 3200)

@@ -12,27 +12,24 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from fractions import Fraction
 from functools import partial
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from eldata.base.numbers import counted
-from eldata.base.workers import Failed, Workers
+from eldata.base.workers import AnyWorkers, Failed, Workers
 from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileError
-from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, load_card, title_of_set
+from eldata.manifest.card import CameraCard, Card, cfa_word, load_card, own_card
 from eldata.manifest.catalogue import load_manifest, shipped_folder
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.verify_report import Problem, row_fault
 from eldata.raw.files import ShotFacts, find_doubles, raws_below
 from eldata.raw.levels import packing_sites
-from eldata.records import FrameRecord, Sensor
+from eldata.records import FrameRecord, RawHeader, Role, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from datetime import datetime
-    from pathlib import Path
 
-    from eldata.base.workers import AnyWorkers
-    from eldata.records import RawHeader, Role
 
 SCENE = "{scene}"
 
@@ -187,7 +184,12 @@ def sort_own_set(
         else:
             problems.append(row_fault(place, "scene", f"a name of its own, not {title}", other, "rename one of them"))
     records.sort(key=lambda record: record.path)
-    card = _make_card(name, folder.name, cfa_word(cfas), frames, records)
+    models: dict[str, set[str]] = defaultdict(set)
+    for frame in frames:
+        models[frame.camera].add(frame.model)
+    cameras = {camera: CameraCard(tuple(sorted(found))) for camera, found in models.items() if camera}
+    sources = ("eldata manifest: roles, ratios and exposures as EXIF and folders say",)
+    card = own_card(name, folder.name, records, cfa=cfa_word(cfas), cameras=cameras, sources=sources)
     return OwnSet(card, tuple(records), tuple(problem.of(name) for problem in problems), left_out)
 
 
@@ -286,27 +288,6 @@ def _nominal(ratio: Fraction) -> Fraction:
     """Return a ratio as people name it: shutters round, so that 200 may be 213 (:data:`RATIO_TOLERANCE`)."""
     one, two = (Fraction(f"{float(ratio):.{digits}e}") for digits in (0, 1))
     return one if abs(ratio - one) <= RATIO_TOLERANCE * one else two
-
-
-def _make_card(name: str, folder: str, cfa: str, frames: Sequence[_Frame], records: Sequence[FrameRecord]) -> Card:
-    """Make the card of a set of one's own; citation, licence and homepage are not stated."""
-    models: dict[str, set[str]] = defaultdict(set)
-    for frame in frames:
-        models[frame.camera].add(frame.model)
-    scenes = len({record.scene for record in records} - {""})
-    return Card(
-        name=name,
-        title=title_of_set(records, scenes),
-        version="1.0",
-        folder=folder,
-        citation="not stated",
-        licence="not stated",
-        homepage="not stated",
-        cfa=cfa,
-        cameras={camera: CameraCard(tuple(sorted(found))) for camera, found in models.items() if camera},
-        counts=counts_of(records),
-        sources=("eldata manifest: roles, ratios and exposures as EXIF and folders say",),
-    )
 
 
 # --- which raws of a folder are clean ---------------------------------------------------------------------------------

@@ -10,21 +10,18 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from eldata.base.arrays import read_png_header
-from eldata.base.workers import Failed
+from eldata.base.workers import Failed, Workers
 from eldata.errors import FileError
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
-from eldata.manifest.patterns import is_pattern, is_png, matching, sequence_of
+from eldata.manifest.patterns import FrameSequence, is_pattern, is_png, matching, sequence_of
 from eldata.manifest.table import number_text
-from eldata.manifest.verify_report import distinct, row_fault
+from eldata.manifest.verify_report import FileRemark, Problem, distinct, row_fault
 from eldata.raw.files import RAW_EXTENSIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from eldata.base.workers import Workers
     from eldata.manifest.catalogue import FrameFiles
-    from eldata.manifest.patterns import FrameSequence
-    from eldata.manifest.verify_report import FileRemark, Problem
     from eldata.raw.levels import MeanLevels
     from eldata.records import FrameRecord
 

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from eldata.base.fields import names_of
 from eldata.errors import ArgumentError, did_you_mean
-from eldata.manifest.card import find_subset
-from eldata.records import PairRecord, from_columns
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from eldata.manifest.card import Subset
-    from eldata.records import FrameRecord
+from eldata.manifest.card import Subset, find_subset
+from eldata.records import FrameRecord, PairRecord, from_columns
 
 Item = TypeVar("Item", "PairRecord", "FrameRecord")
 

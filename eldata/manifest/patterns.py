@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from operator import attrgetter
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from eldata.base.files import inside, split_member, visible_below
@@ -25,7 +25,6 @@ from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-    from pathlib import Path
 
 _END = 3
 _FIELD = re.compile(r"\{(\w+)\}")

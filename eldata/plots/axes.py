@@ -15,7 +15,7 @@ import matplotlib.style
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, LogLocator, NullLocator
 
 from eldata.errors import ArgumentError
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
-    from matplotlib.ticker import Locator
     from numpy.typing import NDArray
 
 Point: TypeAlias = tuple[float, float, float]
@@ -259,6 +258,7 @@ def transfer_lines(
     for index, line in enumerate(lines):
         main.plot(ends, line.variance_at(ends), color=theme.theory, label="fitted" if index == 0 else "_")
     main.set_ylabel("variance [DN²]")
+    (below or main).set_xlabel("signal [DN]")
     legend_above(main, most=5)
     return furthest
 

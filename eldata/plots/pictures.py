@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib import colormaps
 from PIL import Image
 
-from eldata.plots.axes import drawn_grid
+from eldata.plots.axes import Drawing, Theme, drawn_grid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from eldata.plots.axes import Drawing, Theme
 
 Panel: TypeAlias = tuple[str, "NDArray[Any]"]
 """Title, and pixels: (h, w, 3) uint8 colours, or (h, w) values that are drawn with their scale."""

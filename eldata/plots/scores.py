@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from matplotlib.ticker import FixedLocator
 
-from eldata.plots.axes import MARKERS, drawable, legend_above
+from eldata.plots.axes import MARKERS, Theme, drawable, legend_above
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
 
-    from eldata.plots.axes import Theme
 
 Mean: TypeAlias = tuple[float, float, float]
 """A mean and the ends of its interval, which are nan where there is none."""

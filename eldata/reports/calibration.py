@@ -10,17 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.numbers import counted
 from eldata.reports import calibration_iso as drawn
-from eldata.reports.calibration_iso import format_figure
+from eldata.reports.calibration_iso import Pictures, format_figure
 from eldata.reports.calibration_joint import joint_plots
-from eldata.reports.html import digits, format_count, format_measured, join_words, render_page, typeset
+from eldata.reports.html import Plot, digits, format_count, format_measured, join_words, render_page, typeset
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from eldata.calibration.iso_results import Effect, IsoCalibration, IsoGain, MeasuredFigure, Quantity
     from eldata.calibration.results import Calibration
-    from eldata.reports.calibration_iso import Pictures
-    from eldata.reports.html import Plot
 
     Rows = list[tuple[str, str]]
 

@@ -10,18 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.fields import shipped_toml
-from eldata.plots.axes import (
-    MARKERS,
-    deviation_band,
-    draw_quantiles,
-    legend_above,
-    log_ticks,
-    spread_evenly,
-    thin_out,
-    transfer_lines,
-)
+from eldata.plots import axes as plots
 from eldata.plots.pictures import block_means, grey_png, limits
-from eldata.reports.html import TEMPLATES, digits, draw_plot, format_measured, typeset
+from eldata.reports.html import TEMPLATES, Plot, digits, draw_plot, format_measured, typeset
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -33,8 +24,6 @@ if TYPE_CHECKING:
     from eldata.calibration.held_out import Reproduction
     from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
     from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
-    from eldata.plots.axes import Theme
-    from eldata.reports.html import Plot
 
 GAUSSIAN_LAMBDA = 0.14
 """The shape at which the Tukey-lambda distribution is nearest to the normal one."""
@@ -74,24 +63,23 @@ def transfer_plot(record: IsoGain, transfer: PhotonTransfer) -> Plot:
     if spatial is not None and spatial_gain is not None:
         alt += f" The published single-frame method gives {digits(spatial_gain.value, 4)} DN/e⁻."
 
-    def draw(main: Axes, below: Axes, theme: Theme) -> None:
+    def draw(main: Axes, below: Axes, theme: plots.Theme) -> None:
         """Draw variances and fitted lines above, the deviations from the lines below."""
-        furthest = transfer_lines(main, below, record.channels, transfer.channels, theme)
+        furthest = plots.transfer_lines(main, below, record.channels, transfer.channels, theme)
         if spatial is not None:
             _draw_single_frames(main, spatial, theme)
-            legend_above(main)
-        deviation_band(below, furthest, _LIMIT, theme)
-        below.set_xlabel("signal [DN]")
+            plots.legend_above(main)
+        plots.deviation_band(below, furthest, _LIMIT, theme)
 
     more = "" if spatial is None else shipped_toml(TEMPLATES / "calibration.toml")["transfer"]["single_frames"]
     return _plot("transfer", record, alt, draw, ratio=2.6, more=more)
 
 
-def _draw_single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> None:
+def _draw_single_frames(axes: Axes, spatial: PhotonTransfer, theme: plots.Theme) -> None:
     """Draw the published method's points; those far above the others as arrows, or they would flatten the rest."""
     signal = np.concatenate([line.signal_dn for line in spatial.channels])
     variance = np.concatenate([line.variance_dn2 for line in spatial.channels])
-    shown = spread_evenly(signal.size, _SINGLE_FRAMES_SHOWN)
+    shown = plots.spread_evenly(signal.size, _SINGLE_FRAMES_SHOWN)
     signal, variance = signal[shown], variance[shown]
     low, high = axes.get_ylim()
     high *= _ROOM_ABOVE
@@ -117,15 +105,19 @@ def bias_plot(record: IsoCalibration, figures: Sequence[MeasuredFigure]) -> Plot
         f"{bias.frames} single frames around it."
     )
 
-    def draw(main: Axes, below: Axes, theme: Theme) -> None:
+    def draw(main: Axes, below: Axes, theme: plots.Theme) -> None:
         """Draw the channels' means above, the frames' own means below."""
-        frames = spread_evenly(bias.frames, _FRAMES_SHOWN)
+        frames = plots.spread_evenly(bias.frames, _FRAMES_SHOWN)
         across = np.linspace(-0.3, 0.3, frames.size) if frames.size > 1 else np.zeros(1)
         main.axhline(0, color=theme.theory)
         below.axhline(0, color=theme.theory, linewidth=1)
         for channel in range(channels):
             mean, error = figures[channel].value, figures[channel].error
-            style: dict[str, Any] = {"marker": MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
+            style: dict[str, Any] = {
+                "marker": plots.MARKERS[channel],
+                "color": theme.channels[channel],
+                "linestyle": "none",
+            }
             main.errorbar(channel, mean, yerr=error if math.isfinite(error) else None, capsize=4, **style)
             below.plot(channel + across, bias.frame_bias_dn[frames, channel] - mean, markersize=3.5, **style)
             own = bias.standard_error_dn[channel] * math.sqrt(bias.frames)  # of one frame
@@ -150,14 +142,14 @@ def bias_plot(record: IsoCalibration, figures: Sequence[MeasuredFigure]) -> Plot
 def rows_plot(record: IsoCalibration) -> Plot:
     """Draw the normal probability plot of the row means."""
     rows = record.rows.rows
-    shown = thin_out(rows.quantiles.size)
+    shown = plots.thin_out(rows.quantiles.size)
     r_squared, p = digits(rows.r_squared, 5), digits(rows.shapiro_p, 2)
     alt = (
         f"Ordered row means against normal quantiles at ISO {record.iso:g}: R² {r_squared}, Shapiro-Wilk p {p} of "
         f"{rows.shapiro_values} values, excess kurtosis {digits(rows.excess_kurtosis, 2)}."
     )
     draw = partial(
-        draw_quantiles,
+        plots.draw_quantiles,
         points=(rows.quantiles[shown], rows.ordered_dn[shown]),
         line=rows.normal_line_dn,
         names=("normal", "row means"),
@@ -175,7 +167,7 @@ def line_spectrum_plot(record: IsoCalibration) -> Plot:
         f"{format_figure(record.sigma_row_dn)}, σ column {format_figure(record.find_figure('sigma_column_dn'))}."
     )
 
-    def draw(axes: Axes, theme: Theme) -> None:
+    def draw(axes: Axes, theme: plots.Theme) -> None:
         """Draw the power of column and row means, over the pixels' own."""
         variance = record.rows.pixel_variance_dn2 or 1.0
         of_pixels = variance / columns.deviations_dn.shape[1]
@@ -202,7 +194,7 @@ def _set_up_power(axes: Axes) -> None:
     low, high = axes.get_ylim()
     low, high = low / 1.3, high * max(1.6, (high / low) ** 0.35)
     axes.set_ylim(low, high)
-    log_ticks(axes.yaxis, max(1, round(math.log10(high / low))))
+    plots.log_ticks(axes.yaxis, max(1, round(math.log10(high / low))))
 
 
 # --- read noise ---------------------------------------------------------------------------------------------------
@@ -216,7 +208,7 @@ def ppcc_plot(record: IsoCalibration, read: ReadNoise, shape: MeasuredFigure) ->
         f"mean over frames; λ by maximum likelihood {format_figure(shape)}."
     )
 
-    def draw(axes: Axes, theme: Theme) -> None:
+    def draw(axes: Axes, theme: plots.Theme) -> None:
         """Draw the correlation over the shape; mark its maximum, the reported shape and the Gaussian."""
         shapes, correlations = read.curve
         best, at = read.highest_correlation, read.ppcc_lambda_plain
@@ -230,7 +222,7 @@ def ppcc_plot(record: IsoCalibration, read: ReadNoise, shape: MeasuredFigure) ->
         floor = float(correlations[np.abs(shapes - at) < _AROUND_MAXIMUM].min())
         axes.set_ylim(floor, best + 0.1 * (best - floor))
         axes.set(xlabel="λ", ylabel="correlation")
-        legend_above(axes)
+        plots.legend_above(axes)
 
     return _plot("ppcc", record, alt, draw)
 
@@ -239,13 +231,13 @@ def read_noise_plots(record: IsoCalibration, read: ReadNoise, plot: ProbabilityP
     """Draw the probability plots of the residuals against the normal and the Tukey-lambda distribution."""
     shape = "" if record.tukey_lambda is None else f" of shape {digits(plot.shape)}"
     of_shape = f"those of the Tukey-lambda distribution{shape}"
-    plots = []
+    drawn = []
     for kind, family, words, quantiles, slope, r_squared in (
         ("gaussian", "normal", "normal ones", plot.normal, plot.slope_normal_dn, read.r_squared_gauss),
         ("tukey-lambda", "Tukey-lambda", of_shape, plot.tukey_lambda, plot.slope_tukey_lambda_dn, read.r_squared_tl),
     ):
         draw = partial(
-            draw_quantiles,
+            plots.draw_quantiles,
             points=(quantiles, plot.ordered_dn),
             line=(slope, 0.0),
             names=(family, "read noise"),
@@ -253,8 +245,8 @@ def read_noise_plots(record: IsoCalibration, read: ReadNoise, plot: ProbabilityP
             note=f"R² {digits(r_squared, 6)}",
         )
         alt = f"Quantiles of the read noise against {words} at ISO {record.iso:g}: R² {digits(r_squared, 6)}."
-        plots.append(_plot(kind, record, alt, draw))
-    return plots
+        drawn.append(_plot(kind, record, alt, draw))
+    return drawn
 
 
 # --- real against simulated ---------------------------------------------------------------------------------------
@@ -268,7 +260,7 @@ def reproduced_plot(record: IsoCalibration, kept: Reproduction) -> Plot:
         f"0.99999: R² {r_squared}."
     )
     draw = partial(
-        draw_quantiles,
+        plots.draw_quantiles,
         points=(kept.quantiles_simulated_dn, kept.quantiles_real_dn),
         line=(1.0, 0.0),
         names=("alike", "quantiles"),

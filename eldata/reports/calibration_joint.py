@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.plots.axes import MARKERS, bar, bars, gain_over_iso, iso_axis, legend_above, scale_over_gain
+from eldata.plots.axes import MARKERS, Theme, bar, bars, gain_over_iso, iso_axis, legend_above, scale_over_gain
 from eldata.reports.calibration_iso import GAUSSIAN_LAMBDA
-from eldata.reports.html import digits, draw_plot
+from eldata.reports.html import Plot, digits, draw_plot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
     from eldata.calibration.results import Calibration, ScalePanel
-    from eldata.plots.axes import Theme
-    from eldata.reports.html import Plot
 
 _BIN_DN = 0.5  # as in the paper
 _LINES = ("-", "--", "-.", ":")  # one per channel

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_text
-from eldata.base.numbers import counted
+from eldata.base.numbers import counted, natural
 from eldata.base.tables import Strong
 from eldata.evaluation.comparison import (
     LABELS,
@@ -18,13 +18,12 @@ from eldata.evaluation.comparison import (
     statistics_note,
     summary_of,
 )
-from eldata.evaluation.looking import scores_in_order
-from eldata.evaluation.scores import natural
+from eldata.evaluation.looking import ScoredImage, scores_in_order
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, mean_gains, short
 from eldata.reports.evaluation import FACTS, Cell, Table, fact_cells, field_text, number_cell
-from eldata.reports.html import digits, draw_plot, join_words, render_with_script, signed
-from eldata.reports.pictures import draw_images
+from eldata.reports.html import Plot, digits, draw_plot, join_words, render_with_script, signed
+from eldata.reports.pictures import DrawnImage, draw_images
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,13 +33,10 @@ if TYPE_CHECKING:
 
     from eldata.base.workers import Workers
     from eldata.evaluation.comparison import Comparison
-    from eldata.evaluation.looking import ScoredImage
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Difference
     from eldata.plots.axes import Theme
-    from eldata.reports.html import Plot
-    from eldata.reports.pictures import DrawnImage
 
 
 def write_comparison_page(

@@ -14,37 +14,24 @@ from matplotlib.ticker import FixedLocator
 
 from eldata.base.files import write_text
 from eldata.base.numbers import counted
-from eldata.evaluation.looking import (
-    INTERVAL,
-    TOO_FEW,
-    interval_note,
-    scores_in_order,
-    strips_of,
-    worst_and_best_images,
-)
-from eldata.evaluation.scores import factor_text, short_digest
-from eldata.plots.axes import number, set_ticks
+from eldata.evaluation import looking
+from eldata.evaluation.scores import UnitScore, factor_text, short_digest
+from eldata.plots.axes import Theme, number, set_ticks
 from eldata.plots.pictures import heat_gradient
-from eldata.plots.scores import draw_points, strips
+from eldata.plots.scores import Strip, draw_points, strips
 from eldata.protocols.words import FIELDS, in_words
-from eldata.reports.html import digits, draw_plot, render_with_script, signed
-from eldata.reports.pictures import show_images
+from eldata.reports.html import Plot, digits, draw_plot, render_with_script, signed
+from eldata.reports.pictures import DrawnImage, show_images
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
 
-    from eldata.evaluation.looking import Grouping
     from eldata.evaluation.results import EvaluationResult
-    from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
     from eldata.manifest.catalogue import FrameFiles
     from eldata.metrics.registry import Figure, Kind
-    from eldata.plots.axes import Theme
-    from eldata.plots.scores import Strip
-    from eldata.reports.html import Plot
-    from eldata.reports.pictures import DrawnImage
 
     Shown = tuple[str, UnitScore, DrawnImage]
 
@@ -84,7 +71,7 @@ def write_evaluation_page(
         If a file is no longer what was scored, or the page cannot be written.
     """
     where = {"dataset_folder": dataset_folder, "dark_shading": dark_shading}
-    images = worst_and_best_images(result, EACH, predictions=predictions, **where)
+    images = looking.worst_and_best_images(result, EACH, predictions=predictions, **where)
     write_text(out, evaluation_page(result, show_images(images)))
 
 
@@ -107,7 +94,7 @@ def evaluation_page(result: EvaluationResult, shown: Sequence[Shown]) -> str:
         tiles=_tiles(result),
         sections=[*sections, ("provenance", "Provenance")],
         table=table_with_intervals(result),
-        interval_note=interval_note(result),
+        interval_note=looking.interval_note(result),
         plots=plots,
         sizes=sorted({image.box[:1:-1] for _, _, image in shown}),
         has_whole=any(image.whole for _, _, image in shown),
@@ -193,7 +180,7 @@ def table_with_intervals(result: EvaluationResult) -> Table:
         for mean, interval, metric in zip(means, intervals, metrics, strict=True):
             cells += [mean, _format_interval(interval, metric)]
         texts.append(cells)
-    names = [counted, "scenes", *(name for head in heads for name in (head, INTERVAL))]
+    names = [counted, "scenes", *(name for head in heads for name in (head, looking.INTERVAL))]
     paper = result.lay_out(names, texts, "×")
     rules = tuple(range(2, len(names), 2)) if paper.transposed else paper.rules
     cells_of_rows = (tuple(Cell("–" if text == "-" else text) for text in row) for row in paper.rows)
@@ -209,7 +196,7 @@ def _tabulate_images(result: EvaluationResult, ids: dict[str, str]) -> Table:
     """Lay out every image's scores, linked to its pictures where ``ids`` has its path."""
     kind = result.kind
     rows = []
-    for score in scores_in_order(result.scores, result.dataset):
+    for score in looking.scores_in_order(result.scores, result.dataset):
         cells = [Cell(score.name, link=ids.get(score.path, "")), Cell(score.camera), Cell(score.scene)]
         cells += fact_cells(score, kind)
         for metric in kind.metrics:
@@ -239,7 +226,8 @@ def _tiles(result: EvaluationResult) -> list[tuple[str, str, str]]:
     tiles = []
     for metric in result.kind.metrics:
         interval = result.interval(result.whole, metric.name)
-        note = f"{INTERVAL.split()[0]}: {_format_interval(interval, metric)}" if interval.is_known else TOO_FEW
+        reach = f"{looking.INTERVAL.split()[0]}: {_format_interval(interval, metric)}"
+        note = reach if interval.is_known else looking.TOO_FEW
         tiles.append((metric.label, f"{metric.format(interval.mean)} {metric.unit}".rstrip(), note))
     cameras = len({score.camera for score in result.scores})
     return [
@@ -294,26 +282,26 @@ def _viewer(name: str, score: UnitScore, image: DrawnImage, result: EvaluationRe
 def score_plots(result: EvaluationResult) -> tuple[Plot, ...]:
     """Draw the scores of a result, if there are any; the rescaling only if its protocol rescales."""
     kind, shared = result.kind, result.scenes_shared
-    scores = scores_in_order(result.scores, result.dataset)
+    scores = looking.scores_in_order(result.scores, result.dataset)
     finite = [score for score in scores if all(math.isfinite(score.values[metric.name]) for metric in kind.metrics)]
     if not finite:
         return ()
     left_out = len(scores) - len(finite)
     note = f" Not drawn: {left_out} without a finite score." if left_out else ""
-    groupings: tuple[Grouping, ...] = ("camera", "iso") if any(score.iso for score in finite) else ("camera",)
+    groupings: tuple[looking.Grouping, ...] = ("camera", "iso") if any(score.iso for score in finite) else ("camera",)
     plots = [
-        _strips_plot(metric, strips_of(finite, by, metric.name, scenes_shared=shared), by, kind, note)
+        _strips_plot(metric, looking.strips_of(finite, by, metric.name, scenes_shared=shared), by, kind, note)
         for by in groupings
         for metric in kind.metrics
     ]
     positive = [score for score in finite if math.isfinite(score.rescale) and score.rescale > 0]
     if result.rescales and positive:
-        columns = strips_of(positive, "camera", "rescale", scenes_shared=shared, mean=False)
+        columns = looking.strips_of(positive, "camera", "rescale", scenes_shared=shared, mean=False)
         plots += _rescaling_plots(positive, columns, kind.units)
     return tuple(plots)
 
 
-def _strips_plot(metric: Figure, drawn: Sequence[Strip], by: Grouping, kind: Kind, note: str) -> Plot:
+def _strips_plot(metric: Figure, drawn: Sequence[Strip], by: looking.Grouping, kind: Kind, note: str) -> Plot:
     """Draw the values of each group in a column."""
     groups = list(dict.fromkeys(strip.group for strip in drawn))
     values = [value for strip in drawn for value in strip.values]

@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 from eldata.base.workers import Workers
 from eldata.errors import EldataError
-from eldata.evaluation.looking import place_of_difference
+from eldata.evaluation.looking import ScoredImage, SeenImage, place_of_difference
 from eldata.plots.pictures import block_means, error_limit, heat, jpeg_of
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.looking import ScoredImage, SeenImage
     from eldata.evaluation.scores import UnitScore
 
 CROP: Final = (320, 480)

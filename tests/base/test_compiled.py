@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from eldata.base import compiled
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="users are looked up as Linux does")
 

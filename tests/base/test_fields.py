@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from fractions import Fraction
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -18,10 +20,6 @@ from eldata.base.numbers import fraction_of, number_of, whole_of
 from eldata.base.visible import NOTHING
 from eldata.errors import ArgumentError, EldataError, FileError, ManifestError, ProfileError
 from tests.cases import in_one_test
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 # The parsers of the standard library would compute on these for minutes, or refuse them with errors of their own.
 ENDLESS = ("1e16000000", "1e-16000000", "9" * 10_000, "1/" + "9" * 10_000, "0." + "1" * 10_000, "1" * 5000 + "/3")

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import signal
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import pytest
 
 from eldata.base import console
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable
 
 
 def run(work: Callable[[], object]) -> int:

@@ -6,10 +6,11 @@ import statistics
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 from scipy.stats import t as student
 
@@ -24,17 +25,12 @@ from eldata.baselines.classical import (
 )
 from eldata.baselines.noise_line import noise_line
 from eldata.baselines.noisy_frames import estimate_line
-from eldata.demo.camera import CAMERAS
+from eldata.demo.camera import CAMERAS, SimulatedCamera
 from eldata.demo.scenes import scene_radiance
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.parameters import NoiseParameters
 from eldata.noise.profile import CameraProfile
 from eldata.raw import pack
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from eldata.demo.camera import SimulatedCamera
 
 LINES = {"shot noise": SignalNoise(0.02, 0.005**2), "read noise too": SignalNoise(0.05, 0.05**2)}
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import zipfile
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from eldata.baselines import NetworkDenoiser, UNet, clip_error, load_network, save_network
 from eldata.baselines.noisy_frames import mirrored_window
@@ -29,11 +31,6 @@ from eldata.manifest.clips import Clip
 from eldata.manifest.layouts import scan_raw
 from tests.cases import in_one_test
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 HERE = "tests.baselines.test_clips"
 CLIPS = ("0007", "0013")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,9 +32,6 @@ from eldata.noise.parameters import tukey_lambda_variance
 from eldata.raw import read_raw
 from eldata.raw.levels import packed_frame
 from tests.trees import frame, tree_in
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 WEIGHTS = Path(unet.__file__).with_name("noise_aware.safetensors")

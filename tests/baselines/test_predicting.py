@@ -8,7 +8,8 @@ import re
 import shutil
 import sys
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +18,8 @@ import torch
 
 from eldata.baselines.classical import BASELINES
 from eldata.baselines.networks import load_network
-from eldata.baselines.noisy_frames import find_parameters
-from eldata.baselines.predicting import BaselineDenoiser, PredictionReport, write_predictions
+from eldata.baselines.noisy_frames import NoisyFrame, find_parameters
+from eldata.baselines.predicting import BaselineDenoiser, Denoiser, PredictionReport, write_predictions
 from eldata.cli.baseline import NAMES
 from eldata.cli.main import main
 from eldata.datasets.published import ELDDataset
@@ -31,13 +32,7 @@ from eldata.noise.profile import CameraProfile
 from tests.bait import Bait
 from tests.baselines.travelling import Travelling
 from tests.onnx_file import onnx_network
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from eldata.baselines.noisy_frames import NoisyFrame
-    from eldata.baselines.predicting import Denoiser
-    from tests.trees import Tree
+from tests.trees import Tree
 
 
 class Doubled(torch.nn.Module):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,9 +11,6 @@ from eldata.demo.body import KnownNoise
 from eldata.demo.calibration_frames import CalibrationCamera
 from eldata.records import Sensor
 from tests.calibration.simulation import XTRANS, Camera
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 # Of eldata/noise/profiles/*.json: gains, lambdas and biases of the rows, scales on the fitted lines. (The line of
 # NikonD850-2 goes down to 0.1 DN; noise that quiet is lost in rounding, and the calibration says so.)

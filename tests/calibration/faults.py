@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+from tests.calibration.simulation import Body, Camera
 
-    from numpy.typing import NDArray
-
-    from tests.calibration.simulation import Body, Camera
-
-    Frames = list[NDArray[np.float64]]
-    Fault = Callable[[Frames, Camera, np.random.Generator], Frames]
+Frames = list[NDArray[np.float64]]
+Fault = Callable[[Frames, Camera, np.random.Generator], Frames]
 
 
 def digitised(frames: Iterable[NDArray[np.float64]]) -> list[NDArray[np.uint16]]:

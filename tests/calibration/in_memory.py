@@ -3,33 +3,26 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
-from eldata.base.workers import IN_THIS_PROCESS
+import numpy as np
+from numpy.typing import NDArray
+
+from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration import BiasStack, BiasSums, FixedPattern, fixed_pattern
 from eldata.calibration.frames import IsoFrames
-from eldata.calibration.iso_results import IsoCalibration
+from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
 from eldata.calibration.one_iso import calibrate_iso
-from eldata.datasets.calibration_frames import FlatPair
-from eldata.records import Exposure, FrameRecord, RawFrame
+from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
+from eldata.records import Exposure, FrameRecord, RawFrame, Role, Sensor
+from tests.calibration.simulation import Camera
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from eldata.base.workers import Workers
-    from eldata.calibration.iso_results import IsoGain, MeasuredFigure
-    from eldata.datasets.calibration_frames import CalibrationFrames
-    from eldata.records import Role, Sensor
-    from tests.calibration.simulation import Camera
-
-    Mosaic = NDArray[np.uint16]
-    Pairs = Sequence[tuple[Mosaic, Mosaic]]
+Mosaic = NDArray[np.uint16]
+Pairs = Sequence[tuple[Mosaic, Mosaic]]
 
 ISO = 100
 

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eldata.demo.body import Body as Specimen
 from eldata.demo.body import FixedFeatures, KnownNoise, temporal_noise_dn
 from eldata.records import Sensor
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 BAYER = ((0, 1), (3, 2))
 XTRANS = (

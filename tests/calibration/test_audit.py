@@ -5,25 +5,20 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from eldata.calibration import Finding
+from eldata.calibration import Calibration, Finding, IsoCalibration
 from eldata.calibration.camera import join_isos
-from eldata.calibration.iso_results import READ, SYMBOLS, accept_findings, list_symbols
+from eldata.calibration.iso_results import READ, SYMBOLS, Effect, Quantity, accept_findings, list_symbols
 from eldata.noise import CameraProfile
 from eldata.reports.calibration import calibration_page
 from eldata.reports.html import typeset
 from tests.reports.calibrations import camera_at, measured
 from tests.reports.pages import checked
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from eldata.calibration import Calibration, IsoCalibration
-    from eldata.calibration.iso_results import Effect, Quantity
 
 WHY = "half of the frames are of another planet; photograph this one"
 GAIN_CELL, ROW_CELL = 3, 7  # of a table's row

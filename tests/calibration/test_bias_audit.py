@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from eldata.calibration import bias_sums
 from eldata.calibration.bias_sums import LAGS, BiasPairs, BiasStatistics
+from eldata.calibration.iso_results import IsoCalibration
 from tests.calibration.draws import drawn_camera
-from tests.calibration.faults import blurred, coarse, corner_leak, digitised, mixed, plant
+from tests.calibration.faults import Fault, blurred, coarse, corner_leak, digitised, mixed, plant
 from tests.calibration.in_memory import calibrated, calibrated_arrays, figures_of, stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
 from tests.cases import in_one_test
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from eldata.calibration.iso_results import IsoCalibration
-    from tests.calibration.faults import Fault
 
 CAMERA = Camera(shape=(512, 768), shading=1.0)
 OF_XTRANS = CAMERA.with_(shape=(516, 768), cfa=XTRANS, bias=(0.0, 0.5, -0.5))

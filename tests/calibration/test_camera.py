@@ -7,12 +7,14 @@ import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from eldata import calibrate
+from eldata.calibration import Calibration, IsoCalibration
 from eldata.calibration.camera import join_isos, stated_gains
 from eldata.calibration.frames import IsoFrames
 from eldata.calibration.one_iso import bias_remarks, flat_remarks, no_pairs, transfer_remarks
@@ -24,15 +26,9 @@ from eldata.records import FrameRecord
 from tests.calibration.faults import coarse, plant
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import Body, Camera
-from tests.calibration.trees import CAMERA, ISOS, rewritten
+from tests.calibration.trees import CAMERA, ISOS, FrameTree, rewritten
 from tests.evaluation.test_way_of_a_score import modules_called
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from eldata.calibration import Calibration, IsoCalibration
-    from tests.calibration.trees import FrameTree
 
 
 @pytest.fixture(scope="module")

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import stats
 
-from eldata.calibration import colour_bias, fit_log_log, row_noise
+from eldata.calibration import RowNoise, colour_bias, fit_log_log, row_noise
 from eldata.errors import ArgumentError, DatasetError
 from tests.calibration.faults import digitised
 from tests.calibration.in_memory import stacked, summed
 from tests.calibration.simulation import BAYER, XTRANS, Body, Camera
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from eldata.calibration import RowNoise
 
 CAMERA = Camera(shape=(512, 768))
 

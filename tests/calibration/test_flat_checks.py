@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from eldata.calibration.checks import _find_pile
+from eldata.calibration.iso_results import Finding
 from eldata.raw import bayer_cfa
 from tests.calibration.in_memory import calibrated_arrays, measured_arrays
 from tests.calibration.simulation import BAYER, XTRANS, Body, Camera
 from tests.cases import in_one_test
 from tests.shared import there
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from eldata.calibration.iso_results import Finding
-
-    Pair = tuple[NDArray[np.uint16], NDArray[np.uint16]]
+Pair = tuple[NDArray[np.uint16], NDArray[np.uint16]]
 
 BLACK, WHITE = 512.0, 16383.0
 

@@ -4,38 +4,30 @@ from __future__ import annotations
 
 import pickle
 import shutil
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from eldata import calibrate
 from eldata.base.workers import Workers
-from eldata.calibration import FramesError
+from eldata.calibration import FramesError, IsoCalibration
 from eldata.calibration.checks import code_step, mean_step
 from eldata.calibration.frames import odd_bias_frames, odd_sensors, sort_frames
 from eldata.calibration.one_iso import decodings
 from eldata.errors import DatasetError
 from eldata.manifest.table import load_records, save_records
-from eldata.records import FrameRecord, Sensor
+from eldata.manifest.verify_report import Problem
+from eldata.records import FrameRecord, Role, Sensor
 from tests.calibration.simulation import BAYER, Body, Camera
-from tests.calibration.trees import calibrated_iso, make_tree, problems_of, relative, rewritten
+from tests.calibration.trees import FrameTree, calibrated_iso, make_tree, problems_of, relative, rewritten
 from tests.cases import in_one_test
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.calibration import IsoCalibration
-    from eldata.manifest.verify_report import Problem
-    from eldata.records import Role
-    from tests.calibration.trees import FrameTree
 
 
 def assert_said(problems: Sequence[Problem], field: str, words: list[str]) -> None:

@@ -5,24 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, replace
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from eldata.calibration.camera import join_isos
-from eldata.calibration.iso_results import LIGHT, READ, MeasuredFigure
+from eldata.calibration.iso_results import LIGHT, READ, IsoCalibration, MeasuredFigure
 from eldata.calibration.iso_results import SHAPE as SHAPE_LOST
 from eldata.calibration.joint import find_steps, fit_log_log
 from eldata.errors import ArgumentError
-from eldata.noise import CameraProfile
+from eldata.noise import CameraProfile, NoiseParameters
 from tests.calibration.simulation import Camera
 from tests.reports.calibrations import measured
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from eldata.calibration.iso_results import IsoCalibration
-    from eldata.noise import NoiseParameters
 
 ISOS = (200, 400, 800, 1600, 3200, 6400, 12800)
 SHAPE = -0.026

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import tracemalloc
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from eldata.base.workers import Workers
 from eldata.calibration import one_iso
+from eldata.records import Role
 from tests.calibration.in_memory import measured_in_memory
 from tests.calibration.simulation import XTRANS, Camera
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from eldata.records import Role
 
 SMALL = np.random.default_rng(0).normal(512, 3, (5, 256, 256)).astype(np.uint16)
 SHAPE = (2064, 3072)  # 6 megapixels: more than those of which all squares are kept

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import stats
 
-from eldata.calibration import reproduction
+from eldata.calibration import FixedPattern, Reproduction, reproduction
 from eldata.noise import NoiseParameters
 from tests.calibration.in_memory import stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from eldata.calibration import FixedPattern, Reproduction
 
 FRAMES = 8
 SHAPE = (512, 768)

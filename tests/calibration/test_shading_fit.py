@@ -4,22 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from eldata.calibration import Finding, ShadingFit, calibrate, dark_shading
 from eldata.errors import ArgumentError, DatasetError
+from eldata.noise import DarkShading
 from tests.calibration.in_memory import stacked
 from tests.calibration.simulation import Camera
-from tests.calibration.trees import rewritten
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from eldata.noise import DarkShading
-    from tests.calibration.trees import FrameTree
+from tests.calibration.trees import FrameTree, rewritten
 
 CFA = ((1, 0), (2, 3))
 SHAPE = (96, 128)

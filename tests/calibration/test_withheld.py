@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.calibration.iso_results import IsoCalibration
+from eldata.calibration.iso_results import Finding, IsoCalibration
 from tests.calibration.in_memory import calibrated, calibrated_arrays, figures_of, measured_arrays, stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from eldata.calibration.iso_results import Finding
 
 # --- values that end at 0 ---------------------------------------------------------------------------------------------
 

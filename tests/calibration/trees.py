@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from eldata.calibration.frames import FramesError, sort_frames
 from eldata.calibration.iso_results import IsoCalibration
 from eldata.calibration.one_iso import calibrate_iso
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.demo.calibration_frames import make_calibration_frames
+from eldata.manifest.verify_report import Problem
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from eldata.manifest.verify_report import Problem
-    from eldata.records import FrameRecord, Role
+from eldata.records import FrameRecord, Role
 
 SIZE = (256, 384)
 ISOS = (100, 400, 1600)

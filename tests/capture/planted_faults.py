@@ -10,26 +10,23 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from capture.check import check
 from eldata.demo.camera import CAMERAS
 from tests.capture.simulated_scenes import SIZE, Shot, write_scenes
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    Mishap = Callable[[Shot], Shot]
-    Digital = Callable[[NDArray[np.uint16]], NDArray[np.uint16]]
+Mishap = Callable[[Shot], Shot]
+Digital = Callable[[NDArray[np.uint16]], NDArray[np.uint16]]
 
 KINDS = ("leaves", "texture", "soft", "bars")
 FEW = (1, 2, 4, 6, 11, 14, 15, 16)  # references, and noisy frames at x1 and x100 of ISO 800, x1, x100, x200 of ISO 3200

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from fractions import Fraction
 from functools import cache
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -16,16 +17,10 @@ from capture.camera import EXAMPLE, CameraDescription, Shutter
 from capture.cli import main
 from capture.plan import Plan, make_plan
 from capture.protocol import RELEASED
-from capture.shots import plan_calibration
+from capture.shots import Shot, plan_calibration
 from eldata.manifest import verify
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
-
-    from capture.shots import Shot
 
 SENSOR = Sensor(
     make="Acme",

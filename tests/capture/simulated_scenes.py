@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
-from typing import TYPE_CHECKING, cast
+from pathlib import Path
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from eldata.demo.camera import BASE_ISO, CAMERAS, SimulatedCamera
 from eldata.demo.scenes import scene_radiance
 from eldata.demo.tree import demo_card
+from eldata.manifest import Manifest
 from eldata.manifest.catalogue import save_manifest
 from eldata.manifest.layouts import EldCamera, eld_records
 from eldata.raw.dng import write_dng
-from eldata.records import Exposure
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.manifest import Manifest
-    from eldata.records import FrameRecord
+from eldata.records import Exposure, FrameRecord
 
 ALPHA, BETA = CAMERAS
 SIZE = (384, 576)

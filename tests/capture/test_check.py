@@ -26,10 +26,10 @@ from capture.check.result import (
 )
 from eldata.demo.calibration_frames import make_calibration_frames
 from eldata.errors import EldataError
-from eldata.manifest import load_manifest
+from eldata.manifest import Manifest, load_manifest
 from eldata.raw import read_raw, write_dng
 from eldata.records import Exposure
-from tests.capture.planted_faults import FAULTS, ORDER, clean, lit, moved, verdicts
+from tests.capture.planted_faults import FAULTS, ORDER, Mishap, clean, lit, moved, verdicts
 from tests.capture.simulated import run_capture
 from tests.capture.simulated_scenes import ALPHA, Shot, radiance, write_scenes
 from tests.cases import in_one_test
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.manifest import Manifest
-    from tests.capture.planted_faults import Mishap
 
 FEW = (1, 4, 5, 6, 14, 15, 16)  # references, and noisy frames at x100 and x200 of ISO 800 and 3200
 

@@ -16,7 +16,7 @@ from capture.check.result import Measure, MeasureKind
 from capture.check.shift import cut_moved_tiles, make_tiles, measure_focus, measure_shift
 from eldata.raw.levels import XTRANS_CFA, bayer_cfa, pack
 from eldata.records import Exposure, Sensor
-from tests.capture.planted_faults import lit, moved, picture
+from tests.capture.planted_faults import Mishap, lit, moved, picture
 from tests.capture.simulated_scenes import ALPHA, BETA, SIZE, Shot, radiance
 from tests.shared import there
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from capture.check.shift import Shift, Tiles
     from eldata.demo.camera import SimulatedCamera
-    from tests.capture.planted_faults import Mishap
 
 
 def photographed(

@@ -6,7 +6,8 @@ import base64
 import hashlib
 import json
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from pathlib import Path
 
 import pytest
 
@@ -22,11 +23,6 @@ from capture.checklist import (
 from tests.capture.simulated import hostile_plan, run_capture
 from tests.reports.pages import assert_well_formed, checked
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
 
 PLAN = hostile_plan()
 CALIBRATION = there(PLAN.calibration)

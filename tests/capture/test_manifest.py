@@ -10,14 +10,14 @@ import sys
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from capture.capture_errors import CaptureError
 from capture.cli import main
 from capture.manifest import Placement, place_files
-from capture.plan import make_plan
+from capture.plan import Plan, make_plan
 from eldata.base.files import sha256_of
 from eldata.errors import EldataError
 from eldata.manifest import load_manifest, verify
@@ -25,9 +25,6 @@ from eldata.records import FrameRecord
 from tests.capture.simulated import CAMERA, Nights, Taken, plan_of, run_capture, shoot, whole_plan
 from tests.cases import in_one_test
 from tests.trees import interrupt_manifest
-
-if TYPE_CHECKING:
-    from capture.plan import Plan
 
 
 class Field(Nights):

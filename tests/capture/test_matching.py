@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,15 +15,11 @@ from hypothesis import strategies as st
 from capture.mapping import explain_metering
 from capture.matching import Match, match
 from capture.observed import Observed, ObservedFrame
+from capture.plan import Plan
 from capture.shots import plan_calibration
 from tests.capture.simulated import START, Taken, as_planned, plan_of
 from tests.cases import in_one_test
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from capture.plan import Plan
 
 Slot = tuple[str, int]
 

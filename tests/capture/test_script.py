@@ -6,17 +6,17 @@ import os
 import shutil
 import stat
 import subprocess
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from capture.camera import Shutter
 from capture.cli.script import gphoto_script
-from capture.plan import make_plan
+from capture.plan import Plan, make_plan
 from capture.protocol import CaptureProtocol
 from capture.shots import plan_calibration
 from eldata.manifest.table import load_records
@@ -24,11 +24,6 @@ from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 from tests.capture.simulated import CAMERA, SENSOR, plan_of, run_capture
 from tests.waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from capture.plan import Plan
 
 
 class Rig:

@@ -7,7 +7,8 @@ import shutil
 from dataclasses import replace
 from datetime import datetime, timedelta
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,24 +18,18 @@ from capture.check import check
 from capture.cli import main as capture
 from capture.plan import Plan, make_plan
 from capture.protocol import CaptureProtocol
-from capture.shots import plan_calibration
+from capture.shots import ScenePlan, plan_calibration
 from eldata import CalibrationFrames
 from eldata.cli.main import main as eldata
 from eldata.datasets import PairDataset
 from eldata.datasets.calibration_frames import flat_pairs
-from eldata.demo.camera import CAMERAS
+from eldata.demo.camera import CAMERAS, SimulatedCamera
 from eldata.demo.scenes import scene_radiance
 from eldata.manifest import load_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 from tests.capture.simulated import CAMERA, START, Nights, as_planned, run_capture, shoot, whole_plan
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from capture.shots import ScenePlan
-    from eldata.demo.camera import SimulatedCamera
 
 PROTOCOL = CaptureProtocol(noisy_isos=(800,), low_light_factors=(10, 100), repeats=3, references=2)
 LRID = make_plan(CAMERA, PROTOCOL, {"scene-1": Fraction(4)})
@@ -103,7 +98,7 @@ def test_from_plan_to_scores(
     for group, scene in zip(checked, Plan.load("DemoAlpha.json").scenes, strict=False):
         for pair, shot in zip(group["pairs"], (shot for shot in scene.shots if shot.factor), strict=True):
             measured = pair["measured"]["EXIF ratio"]
-            assert measured["value"] == pytest.approx(float(there(shot.true_ratio)), abs=5 * measured["standard_error"])
+            assert measured["value"] == pytest.approx(there(shot.true_ratio), abs=5 * measured["standard_error"])
             assert measured["standard_error"] < 0.02 * measured["value"]
     output = run(
         "eldata evaluate --baseline input --manifest manifests/mine.csv --root data --jobs 1 --json scores.json"
@@ -140,7 +135,7 @@ def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path) -> None:
     assert [pair[-8:-4] for pair in pairs] == [f"{shot.number:04d}" for shot in noisy] == ["0003", "0004", "0005"]
     for pair, shot in zip(pairs, noisy, strict=True):
         ratio = report.groups[0].row(pair)["ratio"]
-        true_ratio, named_ratio = float(there(shot.true_ratio)), float(there(shot.named_ratio))
+        true_ratio, named_ratio = there(shot.true_ratio), float(there(shot.named_ratio))
         # Standard errors are 5 to 10 % too small (docs/capture.md).
         assert abs(ratio.value - true_ratio) < 1.1 * 5 * ratio.standard_error
         assert abs(named_ratio / true_ratio - 1) > 0.1

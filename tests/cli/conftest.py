@@ -3,20 +3,16 @@ from __future__ import annotations
 import errno
 import os
 import re
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
 from eldata.cli.main import main
 from tests.evaluation import conftest as evaluation
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from tests.evaluation.helpers import Tree
+from tests.evaluation.helpers import Tree
 
 GOLDEN = Path(__file__).parent / "golden"
 tree = evaluation.tree

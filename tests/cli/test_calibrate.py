@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +11,8 @@ import pytest
 from eldata.noise import CameraProfile, DarkShading
 from tests.calibration.trees import CAMERA, SIZE, FrameTree, make_tree, relative, rewritten
 from tests.cases import in_one_test
+from tests.cli.conftest import Cli
 from tests.cli.test_usage import assert_one_line
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.cli.conftest import Cli
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

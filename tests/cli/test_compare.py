@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +15,6 @@ from tests.cases import in_one_test
 from tests.cli.conftest import Cli, assert_golden
 from tests.cli.test_usage import assert_one_line
 from tests.reports.evaluations import result_data, table_of, written
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 
 @pytest.fixture

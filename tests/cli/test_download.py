@@ -1,21 +1,16 @@
 from __future__ import annotations
 
-from pathlib import PurePosixPath
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
 
 import pytest
 
 from eldata.download import fetching
 from eldata.manifest import catalogue
 from eldata.manifest.card import Download
+from tests.cli.conftest import Cli
 from tests.download import server
 from tests.download.helpers import HASTY, contents, make_shelf, sevenzipped, tree, zipped
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from tests.cli.conftest import Cli
 
 FILES = contents()
 PACKED = {f"SID/{name}": content for name, content in FILES.items()}

@@ -7,7 +7,7 @@ import json
 import shlex
 import shutil
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,16 +17,12 @@ from eldata.datasets.published import DRVDataset
 from eldata.evaluation import evaluate, load_result, save_clip_prediction
 from eldata.manifest.table import save_records
 from eldata.metrics.registry import CLIPS
+from tests.cli.conftest import Cli
 from tests.cli.test_usage import assert_one_line
 from tests.drv_tree import SmallDrv, generator_of, small_drv, still_of
+from tests.evaluation.helpers import Tree
 from tests.reports.evaluations import result_data, written
 from tests.reports.pages import assert_well_formed, checked
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.cli.conftest import Cli
-    from tests.evaluation.helpers import Tree
 
 SIZE = (48, 56)
 CHOSEN = ("--clip", "0007", "--clip", "0013")

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from tests.cli.conftest import Cli, Outcome, assert_golden, normalised
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.evaluation.helpers import Tree
+from tests.evaluation.helpers import Tree
 
 
 def check(name: str, outcome: Outcome, code: int, **paths: Path) -> None:

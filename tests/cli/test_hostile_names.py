@@ -6,7 +6,8 @@ import io
 import json
 import shutil
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -15,11 +16,7 @@ import eldata.cli.main
 from eldata.base.visible import has_unseen
 from tests.evaluation.helpers import Tree, place
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    Run = Callable[..., tuple[int, str]]
+Run = Callable[..., tuple[int, str]]
 
 # Escape sequences of 7 and 8 bits, a turn of direction, DEL, a line separator, a return, a byte that is not UTF-8.
 STEERS = "x\x1b[31m\x9b2J\u202e\u2066\x7f\u2028\r\udcff"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -16,9 +16,6 @@ from tests.cli.conftest import Cli, assert_golden, normalised
 from tests.cli.test_download import know
 from tests.cli.test_usage import assert_one_line
 from tests.download.helpers import contents, file_names
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.fixture

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from eldata import ELDDataset, PackedStore, evaluate
 from eldata.evaluation.results import load_result
 from eldata.manifest.catalogue import load_manifest, save_manifest, shipped_manifest, shipped_names
+from tests.cli.conftest import Cli
 from tests.datasets.test_registry import install
+from tests.evaluation.helpers import Tree
 from tests.trees import build_published_tree
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.cli.conftest import Cli
-    from tests.evaluation.helpers import Tree
 
 
 @pytest.fixture

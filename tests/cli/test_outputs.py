@@ -5,15 +5,12 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from eldata.base.files import refuse_among
 from eldata.noise.profile import CameraProfile
 from tests.cases import in_one_test
 from tests.cli.conftest import Cli, Outcome, room_for
-
-if TYPE_CHECKING:
-    from tests.evaluation.helpers import Tree
+from tests.evaluation.helpers import Tree
 
 
 def test_a_file_that_is_read_is_not_written_by_whatever_name(eldata: Cli) -> None:

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from eldata.datasets import DarkFrames
 from eldata.datasets.packed import PackedClips, PackedStore
+from tests.cli.conftest import Cli
 from tests.cli.test_usage import assert_one_line
 from tests.datasets.test_dark_frames import written
 from tests.drv_tree import small_drv
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.cli.conftest import Cli
-    from tests.evaluation.helpers import Tree
+from tests.evaluation.helpers import Tree
 
 
 def test_pack_then_verify_then_read(eldata: Cli, tree: Tree, tmp_path: Path) -> None:

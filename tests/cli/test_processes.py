@@ -6,15 +6,12 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
 from tests import kills
+from tests.evaluation.helpers import Tree
 from tests.waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from tests.evaluation.helpers import Tree
 
 
 def test_the_installed_script_runs_and_its_exit_code_reaches_the_shell(own: Tree) -> None:

@@ -2,17 +2,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
 from eldata.noise.profile import CameraProfile, shipped_profiles
+from tests.cli.conftest import Cli
 from tests.cli.test_usage import assert_one_line
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from tests.cli.conftest import Cli
-
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

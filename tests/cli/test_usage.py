@@ -5,8 +5,8 @@ import json
 import re
 import shlex
 import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -16,12 +16,8 @@ from eldata.cli.main import main
 from eldata.cli.main import parser as eldata_parser
 from tests.cases import in_one_test
 from tests.cli.conftest import Cli, Outcome
+from tests.evaluation.helpers import Tree
 from tests.raw.damaging import PAGE, Whole
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from tests.evaluation.helpers import Tree
 
 
 def assert_one_line(outcome: Outcome, *words: str) -> None:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import io
 import zipfile
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -11,9 +11,6 @@ from eldata.download.fetching import RangeDownloader, fetch_archive
 from eldata.manifest.card import CameraCard, Card, Download, save_card
 from eldata.manifest.table import save_records
 from eldata.records import FrameRecord
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 HASTY = RangeDownloader(tries=3, longest_wait_s=0.001, silence_s=5, plain_http=True)
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tests.waiting import PATIENCE_S
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    Behaviour = Callable[["Handler", "Site"], None]
+Behaviour = Callable[["Handler", "Site"], None]
 
 
 class Site:

@@ -7,7 +7,8 @@ import resource
 import shutil
 import signal
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,9 +21,6 @@ from tests.download import server
 from tests.download.helpers import HASTY, contents, fetch, noise, tree, zipped
 from tests.syncing import OnDisk
 from tests.waiting import until
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CONTENT = zipped(contents(30_000))
 SHA256 = f"sha256:{hashlib.sha256(CONTENT).hexdigest()}"

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -8,10 +9,6 @@ from tests.drv_tree import SmallDrv, small_drv
 from tests.evaluation.helpers import Tree, place, predict_clips
 from tests.evaluation.own_set import OwnSet, build_own_set, predict
 from tests.shared import made_once
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 
 @pytest.fixture(scope="session")

@@ -5,35 +5,28 @@ Nothing is written: each frame is photographed, packed, denoised and scored in m
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.restoration import denoise_tv_chambolle
 
 from eldata.baselines.classical import BASELINES, SignalNoise
-from eldata.demo.camera import CAMERAS
+from eldata.demo.camera import CAMERAS, SimulatedCamera
 from eldata.demo.scenes import scene_radiance
-from eldata.evaluation.diagnosis import Inspection, find_mistake, find_suspicions, sketch
+from eldata.evaluation.diagnosis import Inspection, Suspicion, find_mistake, find_suspicions, sketch
 from eldata.evaluation.mistakes import Circumstances
 from eldata.isp.rendering import preview
-from eldata.metrics.image_score import score_by
+from eldata.metrics.image_score import Score, score_by
 from eldata.protocols.named import PROTOCOLS
+from eldata.protocols.protocol import Protocol
 from eldata.raw.levels import XTRANS_CFA, Clip, pack, pack_normalised, unpack, with_levels
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from eldata.demo.camera import SimulatedCamera
-    from eldata.evaluation.diagnosis import Suspicion
-    from eldata.metrics.image_score import Score
-    from eldata.protocols.protocol import Protocol
-    from eldata.records import Sensor
+from eldata.records import Sensor
 
 Array: TypeAlias = "NDArray[Any]"
 

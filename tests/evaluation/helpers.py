@@ -4,30 +4,24 @@ from __future__ import annotations
 
 import shutil
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eldata.datasets.published import DRVDataset
 from eldata.demo.tree import make_tree
-from eldata.evaluation import save_clip_prediction
+from eldata.evaluation import EvaluationResult, save_clip_prediction
 from eldata.evaluation.request import make_request, plan_scoring
+from eldata.protocols import Protocol
 from eldata.records import PairRecord
-from tests.drv_tree import generator_of, rgb_frame_of, still_of
+from tests.drv_tree import SmallDrv, generator_of, rgb_frame_of, still_of
 from tests.evaluation import oracle
 from tests.evaluation.own_set import Placed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.evaluation import EvaluationResult
-    from eldata.protocols import Protocol
-    from tests.drv_tree import SmallDrv
-    from tests.evaluation.published_code import Score
+from tests.evaluation.published_code import Score
 
 SIZE = (64, 96)
 

@@ -12,8 +12,9 @@ import struct
 import sys
 import zipfile
 import zlib
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -21,9 +22,6 @@ import tifffile
 
 from eldata.records import Sensor
 from tests.peak import peak_kib
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 HEIGHT, WIDTH = 64, 96
 PACKED = (4, HEIGHT // 2, WIDTH // 2)

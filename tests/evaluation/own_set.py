@@ -5,9 +5,11 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eldata.demo.tree import demo_card
 from eldata.evaluation import save_prediction
@@ -15,15 +17,8 @@ from eldata.manifest.card import OWN_PROTOCOL, cfa_word, save_card
 from eldata.manifest.table import save_records
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import pack, packing_sites
-from eldata.records import Exposure, FrameRecord, Sensor
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.records import Role
-    from tests.raw.helpers import Cfa
+from eldata.records import Exposure, FrameRecord, Role, Sensor
+from tests.raw.helpers import Cfa
 
 GBRG: Cfa = ((3, 2), (0, 1))
 BLACK = (510.0, 511.0, 513.0, 514.0)

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import h5py
 import imagecodecs
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
 from PIL import Image
 
 from tests.evaluation import hostile_predictions as hostile
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    Writer: TypeAlias = Callable[[Path, NDArray[Any]], None]
+Writer: TypeAlias = Callable[[Path, NDArray[Any]], None]
 
 
 def save_npy(path: Path, array: NDArray[Any]) -> None:

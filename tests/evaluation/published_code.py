@@ -21,26 +21,23 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache, partial
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import exifread
 import numpy as np
 import rawpy
+from numpy.typing import NDArray
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    Array: TypeAlias = NDArray[Any]
-    Response: TypeAlias = Callable[[Array], Array]
+Array: TypeAlias = NDArray[Any]
+Response: TypeAlias = Callable[[Array], Array]
 
 psnr_of: Any = peak_signal_noise_ratio  # scikit-image has annotations in part only
 ssim_of: Any = structural_similarity

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +18,9 @@ from eldata.metrics import psnr
 from eldata.noise import DarkShading
 from eldata.protocols import get_protocol
 from eldata.raw import read_raw
+from tests.drv_tree import SmallDrv
 from tests.evaluation.helpers import Tree, small_tree
 from tests.planted_shading import plant, shading_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.drv_tree import SmallDrv
 
 CAMERA = "DemoBeta"
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from eldata.evaluation import evaluate, load_result
 from eldata.evaluation.diagnosis import (
@@ -27,12 +30,6 @@ from eldata.reports.evaluation import write_evaluation_page
 from tests.cases import in_one_test
 from tests.evaluation import diagnosis_cases as cases
 from tests.evaluation.helpers import Tree, place, small_tree
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 # --- mistakes and honest predictions, in memory -------------------------------------------------------------------
 

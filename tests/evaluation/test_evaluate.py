@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -29,11 +29,9 @@ from eldata.evaluation.scores import UnitScore
 from eldata.manifest.card import load_card, save_card
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.protocol import StatedProtocol
+from tests.evaluation.helpers import Tree
 from tests.evaluation.own_set import OwnSet, build_own_set, predict
 from tests.reports.evaluations import result_data, written
-
-if TYPE_CHECKING:
-    from tests.evaluation.helpers import Tree
 
 
 @pytest.fixture(scope="module")

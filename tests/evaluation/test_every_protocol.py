@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import rawpy
+from numpy.typing import NDArray
 from PIL import Image
 
 from eldata.errors import ArgumentError
@@ -21,22 +24,12 @@ from eldata.manifest.table import save_records
 from eldata.metrics.registry import IMAGES
 from eldata.protocols import PROTOCOLS
 from eldata.raw.dng import write_dng
-from eldata.records import Exposure, Sensor
+from eldata.records import Exposure, FrameRecord, PairRecord, Sensor
 from tests.evaluation import oracle, published_code
 from tests.evaluation.helpers import assert_equal, scored_pairs
 from tests.evaluation.own_set import MATRIX, WHITE_BALANCE, build_own_set, mosaic_of, sensor_of
-from tests.raw.helpers import BAYER, CFAS, indices_of, is_xtrans, levels_of, reference_pack, xtrans_at
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.records import FrameRecord, PairRecord
-    from tests.evaluation.published_code import Route, Score
-    from tests.raw.helpers import Cfa
-
+from tests.evaluation.published_code import Route, Score
+from tests.raw.helpers import BAYER, CFAS, Cfa, indices_of, is_xtrans, levels_of, reference_pack, xtrans_at
 
 # --- trees: published names, sensors that change from scene to scene --------------------------------------------------
 

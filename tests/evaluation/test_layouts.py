@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable, Iterable
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from eldata.evaluation import evaluate
 from eldata.evaluation.predictions import FoundPredictions, describe_misplaced, find_predictions
 from eldata.evaluation.scores import EvaluationProblem, problem_lines
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from tests.evaluation.helpers import Tree
+from tests.evaluation.helpers import Tree
 
 FIRST = "DemoAlpha/scene-1/IMG_0004"
 

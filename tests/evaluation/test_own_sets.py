@@ -6,19 +6,22 @@ import gc
 import re
 import shutil
 import weakref
+from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from eldata import SyntheticPairs
 from eldata.base.workers import Workers
 from eldata.datasets import CleanFrames
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation import evaluate
+from eldata.evaluation import EvaluationResult, evaluate
 from eldata.evaluation.evaluate import perform_each
 from eldata.evaluation.request import make_request
 from eldata.manifest.card import Subset, save_card
@@ -30,18 +33,9 @@ from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.raw.stated import MosaicFacts
 from eldata.sources.store import build_store, source_of_dataset
+from tests.drv_tree import SmallDrv
+from tests.evaluation.helpers import Tree
 from tests.evaluation.own_set import BLACK, WHITE, OwnSet, build_own_set, predict
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.evaluation import EvaluationResult
-    from tests.drv_tree import SmallDrv
-    from tests.evaluation.helpers import Tree
-
 
 # --- one pass ---------------------------------------------------------------------------------------------------------
 

@@ -11,11 +11,12 @@ import shutil
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from capture.check import check
 from eldata import PackedStore, evaluate, verify
@@ -29,16 +30,11 @@ from eldata.manifest.own import sort_own_set
 from eldata.manifest.pair_checks import white_remarks
 from eldata.protocols import PROTOCOLS
 from eldata.raw import pack, read_raw, write_dng
-from eldata.raw.levels import differ_in_white, with_levels
+from eldata.raw.levels import MeanLevels, differ_in_white, with_levels
 from eldata.records import Exposure, FrameRecord
 from eldata.sources.frames import Files
 from eldata.sources.store import build_store, source_of_dataset
 from tests.raw.helpers import make_sensor
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from eldata.raw.levels import MeanLevels
 
 FIELD = Path(__file__).parent / "field"
 UNSCALED = replace(PROTOCOLS["raw"], name="raw-unscaled", rescaling="none")

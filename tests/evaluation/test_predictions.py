@@ -8,14 +8,17 @@ import subprocess
 import sys
 import tracemalloc
 import zlib
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import h5py
 import imagecodecs
 import numpy as np
 import pytest
 import tifffile
+from numpy.typing import NDArray
 
 from eldata.base.arrays import read_array
 from eldata.datasets import DRVDataset
@@ -26,21 +29,12 @@ from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure
 from tests.bait import Bait
+from tests.drv_tree import SmallDrv
 from tests.evaluation import hostile_predictions as hostile
 from tests.evaluation import oracle
 from tests.evaluation.helpers import SIZE, Tree, place
-from tests.evaluation.prediction_files import FILES, OF_PACKED, h5, quantised, save_npy, save_npz, save_png, tif
+from tests.evaluation.prediction_files import FILES, OF_PACKED, Writer, h5, quantised, save_npy, save_npz, save_png, tif
 from tests.waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from tests.drv_tree import SmallDrv
-    from tests.evaluation.prediction_files import Writer
-
 
 PACKED = (4, SIZE[0] // 2, SIZE[1] // 2)
 VICTIM = "DemoAlpha/scene-1/IMG_0004.dng"

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import zlib
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import rawpy
 import torch
+from numpy.typing import NDArray
 
 from eldata.baselines import load_network
 from eldata.baselines.predicting import write_predictions
@@ -22,16 +24,10 @@ from eldata.evaluation.request import SETTINGS
 from eldata.manifest.table import load_records, save_records
 from eldata.protocols import PROTOCOLS
 from eldata.raw import read_raw, write_dng
+from eldata.records import PairRecord
 from tests.evaluation import published_code
 from tests.evaluation.helpers import assert_equal
 from tests.evaluation.own_set import OwnSet, build_own_set
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.records import PairRecord
 
 NOISY_BALANCE = (1.4, 1.0, 2.5, 1.0)
 SIZE = (60, 84)

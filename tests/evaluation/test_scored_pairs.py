@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from eldata.errors import ArgumentError, EldataError, PredictionError
 from eldata.evaluation import evaluate, save_prediction, scored_pairs
 from eldata.metrics import psnr, ssim
 from eldata.metrics.registry import IMAGES
-from eldata.protocols import PROTOCOLS
+from eldata.protocols import PROTOCOLS, Protocol
 from eldata.records import PairRecord
 from tests.drv_tree import SmallDrv, still_of
 from tests.evaluation.own_set import OwnSet, predict
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.protocols import Protocol
 
 
 def measured(prediction: NDArray[Any], reference: NDArray[Any], protocol: Protocol) -> tuple[float, float]:

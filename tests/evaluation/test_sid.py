@@ -8,8 +8,8 @@ import re
 import shutil
 import zlib
 from collections import Counter
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -25,10 +25,6 @@ from tests import lrd_tree, lrid_tree
 from tests.evaluation.helpers import assert_equal
 from tests.evaluation.published_code import BAYER, lrid_frame
 from tests.sid_tree import frames_of, write_frames
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 SUBSETS = {"sid-sony": "eval-first", "sid-fuji": "test-first"}
 

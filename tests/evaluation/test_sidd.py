@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 import scipy.io
+from numpy.typing import NDArray
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata import evaluate
@@ -25,10 +26,6 @@ from eldata.protocols import get_protocol
 from tests.cases import in_one_test
 from tests.evaluation.published_code import gaussian_ssim
 from tests.sidd_tree import SHAPE, blocks_of, build_sidd_tree, write_corrected
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 # Row and column of R, and of B, in the first 2 x 2 sites of arrays as MATLAB shows them.
 RED_AND_BLUE = {

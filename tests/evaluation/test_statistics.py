@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 import scipy.stats
+from numpy.typing import NDArray
 
 from eldata.errors import ArgumentError
 from eldata.evaluation.scores import UnitScore
@@ -20,9 +20,6 @@ from eldata.evaluation.statistics import (
     paired_difference,
     sign_flip_p_value,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 IMAGES = 6  # of a scene, as in ELD
 SCENE_SIGMA, IMAGE_SIGMA = 3.0, 1.0  # dB; scenes differ by more than images of one do

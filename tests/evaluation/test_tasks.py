@@ -9,27 +9,22 @@ import re
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from eldata.cli.main import main
 from eldata.errors import ArgumentError
-from eldata.evaluation import Task, evaluate, load_result, save_prediction
+from eldata.evaluation import EvaluationResult, Task, evaluate, load_result, save_prediction
 from eldata.evaluation.comparison import compare
 from eldata.reports.comparison import write_comparison_page
 from eldata.reports.evaluation import write_evaluation_page
 from tests.drv_tree import SmallDrv, still_of
 from tests.evaluation import oracle, published_code
-from tests.evaluation.helpers import predicted_clip
+from tests.evaluation.helpers import Tree, predicted_clip
 from tests.evaluation.own_set import OwnSet, build_own_set
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from eldata.evaluation import EvaluationResult
-    from tests.evaluation.helpers import Tree
 
 
 def worst_error(prediction: NDArray[Any], reference: NDArray[Any]) -> float:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 import rawpy
+from numpy.typing import NDArray
 
 from eldata.cli.main import main
 from eldata.datasets import DRVDataset
@@ -31,12 +33,6 @@ from tests.drv_tree import SENSOR, SmallDrv, generator_of, still_of, write_raw_c
 from tests.evaluation import published_code
 from tests.evaluation.helpers import CLIPS, SCORED_FRAMES, predicted_clip, predicted_frame
 from tests.raw.helpers import BAYER
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
 
 IDS = list(CLIPS)
 

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
 from unittest.mock import patch
 
 from eldata import evaluate
 from eldata.evaluation import score
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import FrameType
-
-    from tests.evaluation.own_set import OwnSet
+from tests.evaluation.own_set import OwnSet
 
 
 def modules_called(work: Callable[..., Any], *arguments: Any) -> tuple[set[str], Any]:

@@ -6,7 +6,8 @@ import re
 import sys
 import types
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,14 +20,9 @@ from eldata.errors import ArgumentError
 from eldata.integrations import basicsr
 from eldata.integrations.basicsr import EldataPairs, EldataReferences, MissingBasicSRError, register
 from eldata.manifest.card import CameraCard, Card
-from eldata.manifest.catalogue import save_manifest
+from eldata.manifest.catalogue import Manifest, save_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord, Sensor
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from eldata.manifest.catalogue import Manifest
 
 # --- a small set of one's own, named as SID's: real DNG files of a camera with channel whites ---
 

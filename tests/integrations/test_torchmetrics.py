@@ -9,7 +9,7 @@ import sys
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,12 +31,11 @@ from tests.evaluation.helpers import Tree, place
 
 pytest.importorskip("torchmetrics", reason="needs eldata[torchmetrics]")
 
+from collections.abc import Callable
+
 import torchmetrics
 
 from eldata.integrations.torchmetrics import PSNR, SSIM, ProtocolScore
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 MODULES = [PSNR, SSIM, ProtocolScore]
 

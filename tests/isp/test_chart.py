@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import rawpy
 import torch
+from numpy.typing import NDArray
 from skimage.color import deltaE_ciede2000, rgb2lab, rgb2xyz
 
 from eldata.isp.rendering import Gamma, Rendering, srgb_encode
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import packed_area, packed_frame
 from eldata.raw.reading import read_raw
-from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor
+from eldata.records import Sensor
+from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor
 from tests.raw.test_colour import CAMERAS
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.records import Sensor
-    from tests.raw.helpers import Cfa
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 # The 24 patches of the ColorChecker Classic in 8-bit sRGB, as its maker publishes them.
 CHART = np.array([

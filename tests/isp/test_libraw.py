@@ -3,7 +3,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from tests.raw.helpers import (
     NONA,
     QUAD,
     XTRANS,
+    Cfa,
     add_tags,
     check_refused,
     levels_of,
@@ -24,11 +26,6 @@ from tests.raw.helpers import (
     random_mosaic,
 )
 from tests.waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.raw.helpers import Cfa
 
 
 def written(path: Path, cfa: Cfa = BAYER["RGGB"], height: int = 60, width: int = 64, **fields: Any) -> Path:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 from eldata.errors import ArgumentError
 from eldata.isp.rendering import (
@@ -23,14 +25,8 @@ from eldata.isp.rendering import (
 )
 from eldata.isp.response import ResponseCurve
 from eldata.raw.colour import camera_to_srgb
+from eldata.records import Sensor
 from tests.raw.helpers import BAYER, XTRANS, make_sensor
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from eldata.records import Sensor
 
 SENSOR = make_sensor()
 OTHER = make_sensor(

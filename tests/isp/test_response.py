@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +12,6 @@ from scipy.interpolate import interp1d
 from eldata.errors import ArgumentError, FileError
 from eldata.isp.response import ResponseCurve, read_response_table
 from tests.isp.curves import GRID, family
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 UNEVEN = np.array([0.0, 0.1, 0.15, 0.6, 1.0])
 THREE = ResponseCurve(

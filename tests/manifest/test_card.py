@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,11 +26,7 @@ from eldata.manifest.catalogue import load_manifest, save_manifest
 from eldata.raw.stated import MosaicFacts
 from tests.cases import in_one_test
 from tests.syncing import OnDisk
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.trees import Tree
+from tests.trees import Tree
 
 CARD = Card(
     name="set",

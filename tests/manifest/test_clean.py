@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -18,9 +18,6 @@ from eldata.records import Exposure
 from eldata.sources.store import source_of_folder
 from tests.manifest.test_own import NOISY, REFERENCE, SENSOR, shoot
 from tests.trees import tree_in
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def chosen(folder: Path, pattern: str | None = None) -> list[str]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from eldata.manifest.layouts import UNUSED, describe_layout, scan_raw
 from eldata.manifest.lock import lock
 from eldata.manifest.patterns import FrameSequence, expand, sequence_of
 from eldata.manifest.verify import verify
+from eldata.manifest.verify_report import Level
 from tests.cases import in_one_test
 from tests.drv_tree import (
     NOISY,
@@ -34,12 +36,6 @@ from tests.drv_tree import (
     write_raw_clip,
 )
 from tests.trees import swap
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from eldata.manifest.verify_report import Level
 
 CLIPS = ("0007", "0013", "M0003")
 

@@ -6,9 +6,10 @@ import hashlib
 import os
 import shutil
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -16,10 +17,6 @@ from eldata.errors import FileError
 from eldata.manifest.lock import lock
 from eldata.manifest.verify import verify
 from tests.trees import Tree, flip_compressed_byte, frame, scale_exposure
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 
 def contents(tree: Tree) -> dict[str, bytes]:

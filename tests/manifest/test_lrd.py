@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from eldata.manifest.catalogue import save_manifest, shipped_folder, shipped_manifest
 from eldata.manifest.pairs import Choice
@@ -14,9 +14,6 @@ from manifests.published_lrd import LrdScene, load_lrd_scenes, lrd_scenes_from_l
 from tests.cases import in_one_test
 from tests.lrd_tree import write_frames
 from tests.trees import swap
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 # Lines of datalist/LRD_<split>_list.txt (wc -l).
 LINES = {"train": 1440, "val": 180, "test": 180}

@@ -6,7 +6,7 @@ import pickle
 import re
 from collections import Counter
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -17,10 +17,6 @@ from eldata.manifest.catalogue import carded_names, shipped_card, shipped_manife
 from eldata.manifest.pairs import Choice
 from manifests.published_lrid import bursts_from_infos
 from tests.bait import Bait
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 ALONE = ("aim25", "aim25-video", "fivek", "lld", "mipi24", "raw-denoise", "rawnind", "sidd-cc")
 

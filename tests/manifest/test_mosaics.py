@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.io
 import tifffile
+from numpy.typing import NDArray
 
 from eldata import evaluate
 from eldata.base.files import sha256_of
@@ -28,12 +31,6 @@ from eldata.raw.stated import MosaicFacts, StatedFile
 from eldata.records import Exposure, FrameRecord, Sensor
 from tests.cases import in_one_test
 from tests.sidd_tree import save_matlab_73
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 SHAPE, BLACK, WHITE, CFA = (48, 64), 240.0, 4095.0, "GBRG"
 REFERENCE, NOISY = Exposure(Fraction(100), Fraction(1)), Exposure(Fraction(1600), Fraction(1, 1600))

@@ -6,7 +6,7 @@ import shutil
 from dataclasses import replace
 from datetime import datetime
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,16 +14,11 @@ import pytest
 from eldata.cli.main import main
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest import load_manifest, shipped_manifest, verify
-from eldata.manifest.own import sort_own_set
+from eldata.manifest.own import OwnSet, sort_own_set
 from eldata.raw import write_dng
 from eldata.records import Exposure, Sensor
 from tests.sid_tree import build_sid_tree
 from tests.trees import tree_in
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from eldata.manifest.own import OwnSet
 
 SENSOR = Sensor("MAKER", "MODEL 3", ((0, 1), (3, 2)), (512.0,) * 4, 16300.0, 24, 32)
 REFERENCE, NOISY = Exposure(Fraction(100), Fraction(4)), Exposure(Fraction(1600), Fraction(1, 400))

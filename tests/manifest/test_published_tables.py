@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import product
-from typing import TYPE_CHECKING
 
 from eldata.evaluation.published import PublishedRow, published_rows, shipped_published
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice
 from eldata.protocols import PROTOCOLS
+from eldata.records import PairRecord
 from tests.cases import in_one_test
-
-if TYPE_CHECKING:
-    from eldata.records import PairRecord
 
 ROWS = shipped_published().rows
 CAMERAS = {"SonyA7S2", "NikonD850", "CanonEOS70D", "CanonEOS700D", "FujifilmXT2", "SonyRX100M6"}

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from fractions import Fraction
-from pathlib import PurePosixPath
-from typing import TYPE_CHECKING
+from pathlib import Path, PurePosixPath
 
 import pytest
 
@@ -14,15 +13,11 @@ from eldata.manifest.card import find_subset
 from eldata.manifest.catalogue import shipped_folder, shipped_manifest
 from eldata.manifest.pairs import Choice
 from eldata.manifest.verify import verify
+from eldata.manifest.verify_report import Problem
+from eldata.records import PairRecord
 from manifests.sid_scenes import SID_CAMERAS, save_scenes, scenes_from_lists
 from tests.sid_tree import NAMES, SmallTree, build_small_tree
 from tests.trees import scale_exposure
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from eldata.manifest.verify_report import Problem
-    from eldata.records import PairRecord
 
 FACTS = shipped_folder() / "facts"
 NAMED = pytest.mark.parametrize("name", NAMES)

@@ -7,9 +7,10 @@ import gc
 import io
 import random
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -22,11 +23,7 @@ from eldata.manifest.table import COLUMNS, load_records, load_table, number_text
 from eldata.records import FrameRecord
 from tests.cases import in_one_test
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    Rows = list[dict[str, str]]
+Rows = list[dict[str, str]]
 
 HASH = "sha256:" + "0123456789abcdef" * 4
 REFERENCE = FrameRecord("Cam/scene-1/IMG_0001.ARW", "reference", "Cam", "scene-1", "test", Fraction(100), Fraction(4))

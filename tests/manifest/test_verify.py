@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -23,13 +23,9 @@ from eldata.manifest.catalogue import data_root, find_manifests, shipped_manifes
 from eldata.manifest.lock import lock
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import check_files, verify
+from eldata.manifest.verify_report import Level, Problem, VerifyReport
 from eldata.records import Exposure
 from tests.trees import ALPHA, BETA, Tree, flip_compressed_byte, frame, retake, scale_exposure, swap
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from eldata.manifest.verify_report import Level, Problem, VerifyReport
 
 GOLDEN = Path(__file__).parent / "golden"
 REFERENCES = (1, 6, 11, 16)

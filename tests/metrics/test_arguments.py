@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +16,7 @@ from eldata import metrics
 from eldata.errors import ArgumentError
 from eldata.metrics import _images
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Metric = Callable[..., Any]
+Metric = Callable[..., Any]
 
 GAUSSIAN = pytest.param(partial(metrics.ssim, window="gaussian-11"), id="ssim, Gaussian")  # of arrays alone
 METRICS = [

@@ -30,7 +30,7 @@ from tests.reports.calibrations import calibration, camera_at, measured
 from tests.reports.evaluations import result
 from tests.reports.pages import HOSTILE, checked
 from tests.sources.store.helpers import pack_tree
-from tests.trees import copy_tree
+from tests.trees import Tree, copy_tree
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from eldata.calibration.results import Calibration
-    from tests.trees import Tree
 
 
 # Colours of the page's own, and greys that show on white and on black.

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eldata.calibration.camera import join_isos
+from eldata.calibration.iso_results import IsoCalibration
+from eldata.calibration.results import Calibration
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import Body, Camera
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from eldata.calibration.iso_results import IsoCalibration
-    from eldata.calibration.results import Calibration
 
 SHAPE = (264, 384)
 LEVELS = (800.0, 3000.0, 7000.0, 12000.0)

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from eldata.evaluation.results import saved_result
+from eldata.evaluation.results import EvaluationResult, saved_result
 from eldata.protocols import get_protocol
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from eldata.evaluation.results import EvaluationResult
 
 DIGEST = "sha256:" + "a" * 64
 

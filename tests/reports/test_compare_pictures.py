@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from eldata.base.numbers import natural
 from eldata.cli.main import main
-from eldata.evaluation.comparison import compare
+from eldata.evaluation.comparison import Comparison, compare
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.looking import images_of, place_of_difference, units_again
+from eldata.evaluation.looking import ScoredImage, images_of, place_of_difference, units_again
 from eldata.evaluation.results import load_result
-from eldata.evaluation.scores import cameras_in_order, natural
+from eldata.evaluation.scores import cameras_in_order
 from eldata.evaluation.statistics import holm
 from eldata.reports import pictures
 from eldata.reports.comparison import write_comparison_page
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.comparison import Comparison
-    from eldata.evaluation.looking import ScoredImage
     from tests.capture.checklist_browser import Page
 
 CROP = (12, 16)

@@ -7,17 +7,19 @@ import math
 import re
 import shutil
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from eldata.errors import EldataError, PredictionError
 from eldata.evaluation.comparison import compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import worst_and_best, worst_and_best_images
-from eldata.evaluation.results import saved_result
+from eldata.evaluation.results import EvaluationResult, saved_result
 from eldata.isp.rendering import brightening, preview
 from eldata.plots.axes import drawable
 from eldata.protocols.protocol import fields_digest
@@ -31,13 +33,6 @@ from tests.evaluation import published_code
 from tests.evaluation.helpers import Tree, place, small_tree
 from tests.reports.evaluations import result, result_data, table_of
 from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.evaluation.results import EvaluationResult
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import signal
 import socket
 import sys
 import threading
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,6 @@ from tests.evaluation.helpers import Tree
 from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
-    from concurrent.futures import Future
     from pathlib import Path
 
     from distributed import LocalCluster

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from eldata.base.workers import Failed, Workers
 from eldata.errors import EldataError, FileError, RawFileError
 from tests.base.clusters import work
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 
 def test_results_come_in_the_units_order(executor: Executor) -> None:

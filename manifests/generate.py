@@ -6,7 +6,8 @@ own lists: ``--sid-lists FOLDER`` of those of the SID repository (its folder ``d
 per scene; ``--drv-lists FOLDER`` of those of the DRV repository (its folder ``DRV``) ``facts/drv.csv``, one line per
 clip; ``--lrd-lists FOLDER`` of those of the LRD repository (its folder ``datalist``) ``facts/lrd.csv``, one line per
 scene; and ``--lrid-infos FOLDER`` of the files of the PMN repository's branch TPAMI (its folder ``infos``)
-``facts/lrid.csv``, one line per burst.
+``facts/lrid.csv``, one line per burst. Those of ReCRVD and LLRVD are the lists of scenes of their repositories as they
+stand, with the split beside.
 
 Sets whose files no public text lists have a card alone.
 """
@@ -17,6 +18,7 @@ from pathlib import Path
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import save_manifest
 from eldata.records import FrameRecord
+from manifests.published_by_pattern import pattern_records
 from manifests.published_crvd import crvd_records
 from manifests.published_drv import drv_records, load_splits, save_splits, splits_from_lists
 from manifests.published_eld import published_eld_records
@@ -45,6 +47,8 @@ def published() -> dict[str, tuple[FrameRecord, ...]]:
         "sidd": sidd_records(load_instances(facts_of("sidd"))),
         "sidd-blocks": block_records(load_instances(facts_of("sidd-blocks"))),
         "crvd": crvd_records(),
+        **{name: pattern_records(name, load_splits(facts_of(name))) for name in ("recrvd", "llrvd")},
+        "pmrid": pattern_records("pmrid", {"": "test"}),
     }
 
 

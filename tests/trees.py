@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -29,6 +30,7 @@ from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, Sensor
 
 SIZE = (64, 96)
+_FIELD = re.compile(r"\{\w+\}")
 ALPHA, BETA = "DemoAlpha/scene-1", "DemoBeta/scene-1"
 
 
@@ -144,17 +146,27 @@ def build_published_tree(manifest: Manifest, folder: Path) -> None:
 
     Exposures are the manifest's where it has them. References take 4 s at ISO 100 where it has none, noisy frames then
     what their nominal ratio asks for; frames flagged ``inexact-ratio`` are 1/16 off, as the published one is. Equal
-    frames are one file under several names (hard links), which saves time and says nothing.
+    frames are one file under several names (hard links), which saves time and says nothing. What fields of a path stand
+    for is 1 and 2 here.
     """
     mosaic = np.random.default_rng(1).integers(600, 15000, (48, 64), dtype=np.uint16)
-    record_of = {record.path: record for record in manifest.records}
+    records = [
+        replace(
+            record,
+            path=_FIELD.sub(text, record.path),
+            reference=None if record.reference is None else _FIELD.sub(text, record.reference),
+        )
+        for record in manifest.records
+        for text in (("1", "2") if "{" in record.path else ("",))
+    ]
+    record_of = {record.path: record for record in records}
 
     def write(record: FrameRecord) -> None:
         model = manifest.card.cameras[record.camera].models[-1]
         sensor = Sensor("Maker", model, ((0, 1), (3, 2)), (512.0,) * 4, 16383.0, *mosaic.shape)
         write_dng(folder / record.path, mosaic, sensor, _exposure_of(record, record_of))
 
-    write_each_once(folder, manifest.records, lambda one: (one.camera, _exposure_of(one, record_of)), write)
+    write_each_once(folder, records, lambda one: (one.camera, _exposure_of(one, record_of)), write)
 
 
 def _exposure_of(record: FrameRecord, record_of: dict[str, FrameRecord]) -> Exposure:

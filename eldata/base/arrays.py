@@ -58,6 +58,7 @@ def read_array(
     check: Callable[[Declared], None],
     *,
     name: str = "prediction",
+    index: int | None = None,
     kind: str = "",
     error: type[FileError] = PredictionError,
     advice: str = "write it again",
@@ -72,6 +73,8 @@ def read_array(
         Raises a :class:`FileError` if what the file declares is not what is wanted; called before values are read.
     name
         The array to read if a file holds several.
+    index
+        Which part of its first side to read, as if it were all; ``None``: all of it.
     kind
         Such as ``.npz``, of a file of any name; by default its extension.
     error, advice
@@ -83,7 +86,8 @@ def read_array(
         What ``check`` raises; ``error``, if the file cannot be read.
     """
     kind = kind or path.suffix
-    with _convert_errors(path, kind, error, advice), closing(_read_in_steps(path, kind, name)) as steps:
+    steps = _read_in_steps(path, kind, name, index, mapped=index is not None)
+    with _convert_errors(path, kind, error, advice), closing(steps):
         check(next(steps))
         array: NDArray[Any] = next(steps)
     check(Declared(array.shape, str(array.dtype.newbyteorder("="))))
@@ -91,11 +95,16 @@ def read_array(
 
 
 def declared_array(
-    path: Path, *, name: str = "prediction", error: type[FileError] = PredictionError, advice: str = "write it again"
+    path: Path,
+    *,
+    name: str = "prediction",
+    index: int | None = None,
+    error: type[FileError] = PredictionError,
+    advice: str = "write it again",
 ) -> Declared:
     """Read the header of a file's array; raises like :func:`read_array`."""
-    suffix = path.suffix
-    with _convert_errors(path, suffix, error, advice), closing(_read_in_steps(path, suffix, name)) as steps:
+    steps = _read_in_steps(path, path.suffix, name, index, mapped=True)
+    with _convert_errors(path, path.suffix, error, advice), closing(steps):
         declared: Declared = next(steps)
         return declared
 
@@ -114,8 +123,8 @@ def _convert_errors(path: Path, kind: str, error: type[FileError], advice: str) 
         raise error(path, f"cannot be read as {kind[1:]} ({reason}); {advice}") from cause
 
 
-def _read_in_steps(path: Path, kind: str, name: str) -> Generator[Any, None, None]:
-    """Yield the header of the file, then its array."""
+def _read_in_steps(path: Path, kind: str, name: str, index: int | None, *, mapped: bool) -> Generator[Any, None, None]:
+    """Yield the header of the file's array, or of a part of its first side, then that; map it if it can be."""
     kind = kind.lower()
     with path.open("rb") as file:
         beginning = file.read(6)
@@ -123,7 +132,15 @@ def _read_in_steps(path: Path, kind: str, name: str) -> Generator[Any, None, Non
         raise FileError(path, "is HDF5 without MATLAB's header: name it .h5")
     if kind == ".h5" and beginning == b"MATLAB":
         raise FileError(path, "is a MATLAB file: name it .mat")
-    return _READERS.get(kind, _read_tiff)(path, name)
+    steps = _read_npy(path, name, mapped=mapped) if kind == ".npy" else _READERS.get(kind, _read_tiff)(path, name)
+    if index is None:
+        yield from steps
+        return
+    declared: Declared = next(steps)
+    if index >= (*declared.shape, 0)[0]:
+        raise FileError(path, f"holds an array of shape {declared.shape}, which has no part {index}")
+    yield Declared(declared.shape[1:], declared.values)
+    yield np.array(next(steps)[index])
 
 
 def _first_line(error: Exception) -> str:
@@ -178,14 +195,18 @@ def read_npy_header(file: IO[bytes]) -> Declared:
     return Declared(shape, values)
 
 
-def _read_npy_file(file: IO[bytes], size: int) -> Generator[Any, None, None]:
-    """Yield the header and the values of a .npy file of so many bytes, which can seek."""
+def _read_npy_file(file: IO[bytes], size: int, *, mapped: Path | None = None) -> Generator[Any, None, None]:
+    """Yield the header and the values of a .npy file of so many bytes, which can seek; or what of it is ``mapped``."""
     header = read_npy_header(file)
-    yield header
+    if mapped is None:
+        yield header
     held = size - file.tell()
     if held != header.value_bytes:
         what = "truncated" if held < header.value_bytes else "were bytes inserted"
         raise NpyError(f"declares {header.value_bytes} bytes of values and has {held}: {what}?")
+    if mapped is not None:
+        yield header
+        yield np.lib.format.open_memmap(mapped, mode="r", max_header_size=_MOST_HEADER_BYTES)
     file.seek(0)
     try:
         array = np.lib.format.read_array(file, allow_pickle=False, max_header_size=_MOST_HEADER_BYTES)
@@ -195,10 +216,10 @@ def _read_npy_file(file: IO[bytes], size: int) -> Generator[Any, None, None]:
     yield array
 
 
-def _read_npy(path: Path, _: str) -> Generator[Any, None, None]:
+def _read_npy(path: Path, _: str, *, mapped: bool = False) -> Generator[Any, None, None]:
     """Yield the header, then the array of a .npy file."""
     with path.open("rb") as file:
-        yield from _read_npy_file(file, path.stat().st_size)
+        yield from _read_npy_file(file, path.stat().st_size, mapped=path if mapped else None)
 
 
 def _read_npz(path: Path, name: str) -> Generator[Any, None, None]:

@@ -11,6 +11,7 @@ import secrets
 import stat
 import sys
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, TypeVar
 
@@ -38,8 +39,16 @@ def naming_file(path: Path) -> Iterator[None]:
 
 
 def sha256_of(path: Path) -> str:
-    """Return ``sha256:<hex>`` of a file's bytes, read in pieces."""
-    with naming_file(path), path.open("rb") as file:
+    """Return ``sha256:<hex>`` of a file's bytes, read in pieces; once where several frames lie in one."""
+    with naming_file(path):
+        status = path.stat()
+        return _hash_file(path, status.st_ino, status.st_size, status.st_mtime_ns)
+
+
+@lru_cache(maxsize=16)
+def _hash_file(path: Path, *_: int) -> str:
+    """Hash a file, which other arguments tell from an earlier one of its name."""
+    with path.open("rb") as file:
         return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
 
 
@@ -382,6 +391,9 @@ def check_same_work(place: Path, begun: Mapping[str, object], wanted: Mapping[st
             )
 
 
+_MEMBER = re.compile(r"(.+\.(?:npy|npz|h5|mat|tiff?))#([^/]+)", re.IGNORECASE)
+
+
 def path_problem(relative: str) -> str | None:
     """Describe why a manifest's path is unsafe; ``None`` if it is a plain relative POSIX path."""
     parts = relative.split("/")
@@ -390,7 +402,7 @@ def path_problem(relative: str) -> str | None:
         ("\\" in relative, "contains a backslash; manifests use '/'"),
         (has_unseen(relative), "contains a control character, or another one that does not show"),
         (relative.startswith("/"), "is absolute; paths are relative to the dataset's folder"),
-        (":" in parts[0], "names a drive; paths are relative to the dataset's folder"),
+        (":" in split_member(parts[0])[0], "names a drive; paths are relative to the dataset's folder"),
         (any(part in ("", ".", "..") for part in parts), "contains an empty, '.' or '..' part"),
         (max(map(len, parts)) > 255, "contains a name of more than 255 characters, which no file system has"),
         (len(relative) > _LONGEST_PATH, f"has more than {_LONGEST_PATH} characters, which no system opens"),
@@ -398,8 +410,19 @@ def path_problem(relative: str) -> str | None:
     return next((problem for is_so, problem in problems if is_so), None)
 
 
+def split_member(path: str) -> tuple[str, str]:
+    """Split a path into its file's and what is meant of an array file's content: ``clip.npz#im:3`` gives ``im:3``.
+
+    That is one frame of an array's first side (``#3``), an array by its name (``#im``), or a frame of one (``#im:3``).
+    """
+    found = _MEMBER.fullmatch(path)
+    return (path, "") if found is None else (found[1], found[2])
+
+
 def inside(root: Path, relative: str) -> Path:
     """Join ``root / relative``, if that file lies inside ``root`` once every link is followed.
+
+    Of what is meant in an array file (:func:`split_member`) that is the file.
 
     The root itself may be a link; a link below it that leads out of it is refused, whether or not it dangles.
 
@@ -410,7 +433,7 @@ def inside(root: Path, relative: str) -> Path:
     """
     if (problem := path_problem(relative)) is not None:
         raise ManifestError(f"path {relative!r} {problem}")
-    path = root.joinpath(*PurePosixPath(relative).parts)
+    path = root.joinpath(*PurePosixPath(split_member(relative)[0]).parts)
     try:
         leads_outside = not path.resolve().is_relative_to(root.resolve())
     except (OSError, RuntimeError) as error:

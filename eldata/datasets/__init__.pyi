@@ -17,8 +17,11 @@ from .packed import PackedStore as PackedStore
 from .published import CRVDDataset as CRVDDataset
 from .published import DRVDataset as DRVDataset
 from .published import ELDDataset as ELDDataset
+from .published import LLRVDDataset as LLRVDDataset
 from .published import LRDDataset as LRDDataset
 from .published import LRIDDataset as LRIDDataset
+from .published import PMRIDDataset as PMRIDDataset
+from .published import ReCRVDDataset as ReCRVDDataset
 from .published import SIDDataset as SIDDataset
 from .published import SIDDDataset as SIDDDataset
 from .published import dataset_class as dataset_class

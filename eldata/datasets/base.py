@@ -249,6 +249,7 @@ class PairDataset(SourcePairs):
         options = keywords_of(locals(), "root", "manifest", "check")
         loaded = find_manifest(manifest)
         self.root = loaded.own_folder(root)
+        loaded = loaded.of_copy(self.root)
         records = take_choice(options).pairs(loaded.records, loaded.card.subsets)
         files = Files(FrameFiles.of(self.root, loaded.card, loaded.records), loaded.records, loaded.card)
         files.require(records, check)

@@ -17,7 +17,7 @@ from eldata.datasets.items import keywords_of, take_choice
 from eldata.errors import ArgumentError, DatasetError, ManifestError, check_choice, did_you_mean
 from eldata.manifest.catalogue import (
     FrameFiles,
-    known_manifest,
+    find_manifest,
     load_manifest,
     registered_names,
     registered_place,
@@ -26,6 +26,7 @@ from eldata.manifest.catalogue import (
 from eldata.manifest.clips import moment_name
 from eldata.manifest.layouts import DYNAMIC, scan_raw
 from eldata.manifest.pairs import as_values
+from eldata.manifest.patterns import is_pattern
 from eldata.raw.levels import CAMERA_LEVELS_DN
 from eldata.sources.frames import Files, no_folder
 
@@ -391,7 +392,8 @@ class DRVDataset(ClipWindows):
 SHOTS = range(10)
 """The noisy shots of a frame."""
 
-_FRAME = re.compile(r".*/frame([1-9][0-9]*)_noisy([0-9])\.tiff")
+# Of the three sets of such clips, with the number of the frame, from 1 on or in an array from 0, and of the shot.
+_FRAME = re.compile(r".*(?:/frame([0-9]+)_noisy([0-9])\.tiff|/wb_noisy_([0-9]+)_([0-9])\.tiff|\.npy#([0-9]+))")
 
 
 class CRVDDataset(ClipWindows):
@@ -456,8 +458,11 @@ class CRVDDataset(ClipWindows):
         check: FileCheck = "exists",
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "root", "shots", "manifest", "check")
-        listed = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)
+        listed = find_manifest(manifest)
         folder = listed.own_folder(root)
+        if (of_copy := listed.of_copy(folder)) is not listed and not folder.is_dir():
+            raise no_folder(folder, listed.card, (listed.records[0].path,))
+        listed = of_copy
         rows = _list_moments(listed, take_choice(options).pairs(listed.records, listed.card.subsets), shots)
         files = Files(FrameFiles.of(folder, listed.card, rows), rows, listed.card)
         super().__init__(files, rows, (), folder, **options)
@@ -471,6 +476,9 @@ def _list_moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collec
         raise ArgumentError(f"shots must be of 0 to {len(SHOTS) - 1}; found {list(shots)}")
     chosen = {pair.path for pair in pairs}
     noisy = [row for row in manifest.records if row.path in chosen]
+    if lost := sorted({row.scene for row in noisy if is_pattern(row.path)}):
+        have = sorted({row.scene for row in noisy} - {*lost})
+        raise DatasetError(f"no frames of {len(lost)} scenes, such as {lost[0]}: choose yours with scenes={have!r}")
     scene_of: dict[str | None, str] = {}
     kept = []
     for row, (frame, shot) in zip(noisy, map(_parse_frame_and_shot, noisy), strict=True):
@@ -485,7 +493,58 @@ def _parse_frame_and_shot(row: FrameRecord) -> tuple[int, int]:
     numbers = _FRAME.fullmatch(row.path)
     if numbers is None:
         raise ManifestError(f"{row.path}: expected a name such as frame1_noisy0.tiff, whose numbers say frame and shot")
-    return int(numbers[1]), int(numbers[2])
+    if numbers[5]:
+        return int(numbers[5]) + 1, 0
+    return int(numbers[1] or numbers[3]), int(numbers[2] or numbers[4])
+
+
+class ReCRVDDataset(CRVDDataset):
+    """The clips of ReCRVD: 120 scenes of 25 frames, each with ten noisy shots and a reference, like those of CRVD.
+
+    Parameters, samples and errors: :class:`CRVDDataset`. Splits: ``"train"`` (90 scenes), ``"test"`` (30). No public
+    text names the ISO of a scene or the folder between a scene and its noisy frames: it is found in the copy.
+
+    References
+    ----------
+    H. Yue, C. Cao, L. Liao and J. Yang, "RViDeformer: Efficient Raw Video Denoising Transformer with a Larger Benchmark
+    Dataset", IEEE Transactions on Circuits and Systems for Video Technology, 2025.
+    """
+
+    def __init__(self, root: Path | str | None = None, *, manifest: Path | str = "recrvd", **options: Any) -> None:
+        super().__init__(root, manifest=manifest, **options)
+
+
+class LLRVDDataset(CRVDDataset):
+    """The clips of LLRVD: 70 scenes of a screen, each with a reference and noisy clips of several exposure ratios.
+
+    Parameters, samples and errors: :class:`CRVDDataset`; a clip is one array, so it has one shot of each frame:
+    ``ids=["35"]`` are a scene's clips, ``ratios=[125]`` those of a ratio. Splits: ``"train"`` (60 scenes), ``"val"``
+    (4), ``"test"`` (6). Inputs are amplified by the ratio that their folder names, as in the published code.
+
+    References
+    ----------
+    Y. Fu, Z. Wang, T. Zhang and J. Zhang, "Low-light Raw Video Denoising with a High-quality Realistic Motion Dataset",
+    IEEE Transactions on Multimedia, 2022.
+    """
+
+    def __init__(self, root: Path | str | None = None, *, manifest: Path | str = "llrvd", **options: Any) -> None:
+        super().__init__(root, manifest=manifest, **options)
+
+
+class PMRIDDataset(PairDataset):
+    """The PMRID benchmark: noisy and clean frames of an Oppo Reno 10x, 16 bits a pixel without a header.
+
+    Parameters, samples and errors: :class:`~eldata.datasets.base.PairDataset`. A scene is a folder, whose exposures lie
+    in folders of it; a frame and its reference are exposed alike, and nothing is amplified.
+
+    References
+    ----------
+    Y. Wang, H. Huang, Q. Xu, J. Liu, Y. Liu and J. Wang, "Practical Deep Raw Image Denoising on Mobile Devices",
+    European Conference on Computer Vision, 2020.
+    """
+
+    def __init__(self, root: Path | str | None = None, *, manifest: Path | str = "pmrid", **options: Any) -> None:
+        super().__init__(root, manifest, **options)
 
 
 # --- all datasets by name -----------------------------------------------------------------------------------------
@@ -497,6 +556,9 @@ _CLASSES: dict[str, tuple[type[Any], dict[str, str]]] = {
     "sid-fuji": (SIDDataset, {"camera": "fuji"}),
     "drv": (DRVDataset, {}),
     "crvd": (CRVDDataset, {}),
+    "recrvd": (ReCRVDDataset, {}),
+    "llrvd": (LLRVDDataset, {}),
+    "pmrid": (PMRIDDataset, {}),
     "lrd": (LRDDataset, {}),
     "lrid": (LRIDDataset, {}),
     "sidd": (SIDDDataset, {}),
@@ -511,7 +573,7 @@ def dataset_names() -> tuple[str, ...]:
     --------
     >>> from eldata.datasets import dataset_names
     >>> dataset_names()
-    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'crvd', 'lrd', 'lrid', 'sidd', 'sidd-blocks')
+    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'crvd', 'recrvd', 'llrvd', 'pmrid', 'lrd', 'lrid', 'sidd', 'sidd-blocks')
     """
     return tuple(dict.fromkeys((*_CLASSES, *registered_names())))
 

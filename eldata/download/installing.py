@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from eldata.download.archives import read_format, read_members, unpack_archive
 from eldata.download.fetching import archive_name
 from eldata.errors import ArchiveError
-from eldata.manifest.patterns import is_pattern
+from eldata.manifest.patterns import as_glob, is_pattern
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -126,7 +126,7 @@ def _index_ends(listed: Iterable[str]) -> _Ends:
     """Return the ends of listed paths, such as ``short/00001_00_0.1s.ARW``: folder, then file, then what lies above."""
     ends: _Ends = {}
     for path in listed:
-        *folders, file = path.split("/")
+        *folders, file = as_glob(path).split("/")
         for start in range(len(folders) + (not is_pattern(file))):  # *.png without a folder says nothing
             held = ends.setdefault("/".join(folders[start:]), {})
             held.setdefault(file, set()).add("/".join(folders[:start]))

@@ -6,6 +6,7 @@ import shlex
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.files import inside
 from eldata.base.tables import wrapped
 from eldata.download.archives import STAGING, size_text
 from eldata.manifest.catalogue import carded_names, data_root, find_manifest, known_names, shipped_card, shipped_names
@@ -181,7 +182,7 @@ def presence_of(folder: Path, records: Iterable[FrameRecord]) -> Presence:
     paths = [record.path for record in records]
     present = 0
     for path in paths:
-        files = [folder / file for file in (matching(folder, path) if is_pattern(path) else (path,))]
+        files = [inside(folder, file) for file in (matching(folder, path) if is_pattern(path) else (path,))]
         present += any(file.is_file() and file.stat().st_size > 0 for file in files)
     patterns = sum(map(is_pattern, paths))
     return Presence(len(paths), present, patterns > 0 and (folder / STAGING).exists(), patterns)

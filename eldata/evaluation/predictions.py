@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from eldata.base.arrays import Declared, read_array
-from eldata.base.files import atomic_write, file_problem, folder_problem, visible_below
+from eldata.base.files import atomic_write, file_problem, folder_problem, split_member, visible_below
 from eldata.base.numbers import counted
 from eldata.errors import ArgumentError, EldataError, PredictionError, RawFileError
 from eldata.evaluation.scores import EvaluationProblem
@@ -52,8 +52,9 @@ OF_DATASET: Final = (
 
 
 def stem_of(path: str) -> str:
-    """Return a path without its extension."""
-    return Path(path).with_suffix("").as_posix()
+    """Return a path without its extension; of a frame in an array file ``clip#im-3`` for ``clip.npz#im:3``."""
+    file, member = split_member(path)
+    return Path(file).with_suffix("").as_posix() + (f"#{member.replace(':', '-')}" if member else "")
 
 
 def is_read(name: str) -> bool:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from eldata.base.fields import TextFile
+from eldata.base.files import inside
 from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Workers
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.evaluation.tasks import Task
@@ -21,7 +22,7 @@ from eldata.manifest.clips import choose_clips, clip_place, clips_of, windows
 from eldata.manifest.layouts import describe_layout
 from eldata.manifest.pair_checks import white_remarks
 from eldata.manifest.pairs import Choice, as_values, unpaired
-from eldata.manifest.patterns import expand, is_png
+from eldata.manifest.patterns import expand, is_pattern, is_png
 from eldata.manifest.verify import check_files
 from eldata.metrics.registry import IMAGES, Kind
 from eldata.noise.dark_shading import DarkShading, dark_shading_in
@@ -101,7 +102,7 @@ class Request:
             if seconds > _WORTH_S:
                 break
             with suppress(OSError):  # what is not there is found when it is looked for
-                seconds += _BYTE_S * (self.folder / pair.path).stat().st_size
+                seconds += _BYTE_S * inside(self.folder, pair.path).stat().st_size
         return self.workers if seconds > _WORTH_S else IN_THIS_PROCESS
 
 
@@ -122,9 +123,10 @@ def make_request(
         If the manifest is malformed, a name is unknown, or options do not go together.
     """
     known = find_manifest(dataset if manifest is None else manifest, root)
+    folder = known.folder(root)
     request = Request(
-        manifest=known,
-        folder=known.folder(root),
+        manifest=known.of_copy(folder),
+        folder=folder,
         predictions=None if predictions is None else Path(predictions),
         protocol=_state_shading(_choose_protocol(protocol, known), dark_shading),
         cameras=as_values(cameras),
@@ -354,7 +356,8 @@ def _plan_images(request: Request, protocol: Protocol, unscored: bool) -> Scorin
     )
     candidates = choice.pairs(records, subsets)
     pairs = replace(choice, exclude_flags=request.exclude_flags).pairs(records, subsets)
-    facts = {"subset": subset, "ratios": sorted({float(pair.ratio) for pair in pairs}), "set_aside": set_aside}
+    ratios = sorted({float(pair.ratio) for pair in pairs if not is_pattern(pair.path)})
+    facts = {"subset": subset, "ratios": ratios, "set_aside": set_aside}
     flags = _count_flags(request, (pair.flags for pair in pairs), (pair.flags for pair in candidates))
     return ScoringPlan(pairs, facts | flags)
 

@@ -13,7 +13,7 @@ from eldata.base.files import json_text, path_problem, write_text
 from eldata.base.numbers import counted
 from eldata.base.visible import has_unseen, shown
 from eldata.errors import ArgumentError, ManifestError, did_you_mean
-from eldata.raw.stated import MOSAIC_CFAS, MosaicFacts
+from eldata.raw.stated import MOSAIC_CFAS, PLANES, MosaicFacts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -95,7 +95,7 @@ class Subset:
     name, title, source
         Short name, what it is, and who uses it.
     pairs
-        Expected number of pairs; a manifest that gives another is refused.
+        Expected number of pairs; a manifest that gives another is refused. ``None``: it is not known.
     splits, scenes
         Wanted values; empty means all.
     paths
@@ -108,7 +108,7 @@ class Subset:
     name: str
     title: str
     source: str
-    pairs: int
+    pairs: int | None = None
     splits: tuple[str, ...] = ()
     scenes: tuple[str, ...] = ()
     paths: str = "*"
@@ -119,7 +119,7 @@ class Subset:
         return (
             (not self.splits or pair.split in self.splits)
             and (not self.scenes or pair.scene in self.scenes)
-            and fnmatchcase(pair.path, self.paths)
+            and (fnmatchcase(pair.path, self.paths) or "{" in pair.path)  # no file of it is there, which is a problem
         )
 
     def members(self, rows: Iterable[OfPair]) -> list[OfPair]:
@@ -143,7 +143,7 @@ class Subset:
             If their number is not the expected one.
         """
         chosen = self.members(pairs)
-        if len(chosen) != self.pairs:
+        if len(chosen) != (self.pairs or len(chosen)):
             raise ManifestError(
                 f"subset {self.name!r}: the card expects {self.pairs} pairs, the manifest has {len(chosen)}"
             )
@@ -322,12 +322,23 @@ def _read_camera(cameras: Fields, name: str) -> CameraCard:
 def _read_mosaic(entry: Fields) -> MosaicFacts:
     """Read a card's facts on mosaics without a header: files, cameras, CFA, black and white level in DN."""
     entry.only(names_of(MosaicFacts))
-    levels = "one level, or one for each of R, G1, B and G2"
-    black = entry.each("black_level_dn", Fields.number, expected=levels, fewest=1, at_least=0)
-    if len(black) not in (1, 4):
-        raise entry.wrong("black_level_dn", levels, list(black))
-    cfa, white = entry.choice("cfa", MOSAIC_CFAS), entry.number("white_level_dn", above=max(black))
-    return _read(entry, MosaicFacts, "paths", "cameras", cfa=cfa, black_level_dn=black, white_level_dn=white)
+    given: dict[str, Any] = {"cfa": entry.choice("cfa", MOSAIC_CFAS)}
+    planes = given["planes"] = entry.texts("planes", missing_ok=True)
+    if planes and sorted(planes) != sorted(PLANES):
+        raise entry.wrong("planes", f"{', '.join(PLANES)}, in the order in which they lie", list(planes))
+    if "shape" in entry.data:
+        given["shape"] = entry.each("shape", Fields.whole, expected="rows and columns", count=2, at_least=2)
+    if "level_arrays" in entry.data:
+        names = "names of the arrays of black and of white level, in place of levels"
+        given["level_arrays"] = entry.texts("level_arrays", expected=names, count=2)
+        entry.only([name for name in names_of(MosaicFacts) if not name.endswith("_level_dn")])
+    else:
+        levels = "one level, or one for each of R, G1, B and G2"
+        black = entry.each("black_level_dn", Fields.number, expected=levels, fewest=1, at_least=0)
+        if len(black) not in (1, 4):
+            raise entry.wrong("black_level_dn", levels, list(black))
+        given |= {"black_level_dn": black, "white_level_dn": entry.number("white_level_dn", above=max(black))}
+    return _read(entry, MosaicFacts, "paths", "cameras", **given)
 
 
 def save_card(path: Path, card: Card) -> None:
@@ -335,10 +346,14 @@ def save_card(path: Path, card: Card) -> None:
     write_text(path, card_text(card))
 
 
+_LEFT_OUT = ("first", *(one.name for one in fields(MosaicFacts) if one.default is not MISSING))
+"""What a card's entries leave out where it says nothing."""
+
+
 def card_text(card: Card) -> str:
     """Return a dataset card as it is written."""
     data = {name: value for name, value in asdict(card).items() if name != "mosaics" or value}
-    for subset in data["subsets"]:
-        if not subset["first"]:
-            del subset["first"]
+    for entry in (*data["subsets"], *data.get("mosaics", ())):
+        for name in [name for name in _LEFT_OUT if not entry.get(name, True)]:
+            del entry[name]
     return json_text(data)

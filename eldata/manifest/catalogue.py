@@ -18,7 +18,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.files import atomic_write, encoded, inside, visible_below
+from eldata.base.files import atomic_write, encoded, inside, split_member, visible_below
 from eldata.errors import ArgumentError, EldataError, ManifestError, did_you_mean
 from eldata.manifest.card import Card, card_text, counts_of, load_card, save_card
 from eldata.manifest.patterns import expand, is_pattern, matching
@@ -71,7 +71,7 @@ class FrameFiles:
             If it leads out of the folder.
         """
         file = inside(self.folder, path)
-        return StatedFile(file, *self.stated[path]) if path in self.stated else file
+        return StatedFile(file, *self.stated[path], split_member(path)[1]) if path in self.stated else file
 
     def absolute(self) -> FrameFiles:
         """Make the folder absolute, for processes that start in another one."""
@@ -104,6 +104,19 @@ class Manifest:
         """The dataset's short name."""
         return self.card.name
 
+    def of_copy(self, folder: Path) -> Manifest:
+        """Return the manifest with a copy's files in place of rows whose paths have fields.
+
+        Raises
+        ------
+        ManifestError
+            Like :func:`eldata.manifest.patterns.expand`.
+        """
+        if not any("{" in record.path for record in self.records):
+            return self
+        records = expand(self.records, folder)
+        return replace(self, records=records, card=replace(self.card, counts=counts_of(records)))
+
     def stated_folder(self, root: Path | str | None = None) -> Path:
         """Return the folder where the dataset belongs below a data root (see :func:`data_root`)."""
         return data_root(root) / self.card.folder
@@ -135,8 +148,12 @@ class Manifest:
         def holds(folder: Path) -> bool:
             """Tell whether a folder has at least one of the manifest's files."""
             try:
-                there = (path for parent, paths in paths_in.items() if (folder / parent).is_dir() for path in paths)
-                return any(matching(folder, path) if is_pattern(path) else (folder / path).is_file() for path in there)
+                at = (paths for parent, paths in paths_in.items() if is_pattern(parent) or (folder / parent).is_dir())
+                there = (path for paths in at for path in paths)
+                return any(
+                    matching(folder, path) if is_pattern(path) else (folder / split_member(path)[0]).is_file()
+                    for path in there
+                )
             except (OSError, EldataError):  # a neighbour, perhaps; the expected folder is read again, and named
                 return False
 
@@ -252,7 +269,7 @@ def shipped_names() -> tuple[str, ...]:
     --------
     >>> from eldata.manifest import shipped_names
     >>> shipped_names()
-    ('crvd', 'drv', 'eld', 'lrd', 'lrid', 'sid-fuji', 'sid-sony', 'sidd', 'sidd-blocks')
+    ('crvd', 'drv', 'eld', 'llrvd', 'lrd', 'lrid', 'pmrid', 'recrvd', 'sid-fuji', 'sid-sony', 'sidd', 'sidd-blocks')
     """
     return tuple(sorted(path.stem for path in shipped_folder().glob("*.csv")))
 

@@ -206,7 +206,7 @@ def choose_clips(
         subset = find_subset(subsets, choice.subset)
         chosen = subset.members(noisy)
         clips = {row.scene for row in chosen}
-        if len(clips) != subset.pairs:
+        if len(clips) != (subset.pairs or len(clips)):
             raise ManifestError(
                 f"subset {choice.subset!r}: the card expects {subset.pairs} clips, the manifest has {len(clips)}; name "
                 "those with ids"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from eldata.base.arrays import NpyError, read_npy_header, read_png_header, read_rgb16
-from eldata.base.files import file_problem, sha256_of
+from eldata.base.files import file_problem, inside, sha256_of
 from eldata.base.workers import require_files
 from eldata.errors import FileError, RawFileError, UnusableRawError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
@@ -40,7 +40,7 @@ class CheckedFile(NamedTuple):
 
 def check_file(files: FrameFiles, cameras: Mapping[str, CameraCard], level: Level, record: FrameRecord) -> CheckedFile:
     """Check one file of a set whose cameras these are."""
-    file, path = files.at(record.path), files.folder / record.path
+    file, path = files.at(record.path), inside(files.folder, record.path)
     require_files(path)
     full, unhashed = level == "full", level == "full" and record.sha256 is None
     if isinstance(file, StatedFile):

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.files import sha256_of, write_problem
+from eldata.base.files import inside, sha256_of, write_problem
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ManifestError
 from eldata.manifest.card import counts_of
@@ -127,7 +127,7 @@ def _lock_file(
     files: FrameFiles, cameras: Mapping[str, CameraCard], record: FrameRecord
 ) -> tuple[FrameRecord, list[Problem]]:
     """Fill a row with its file's size and hash; check the file or, if the row had a hash, compare that."""
-    path = files.folder / record.path
+    path = inside(files.folder, record.path)
     require_files(path)
     locked = replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path))
     if record.sha256 is None:  # a hash of a damaged file would make the damage official

@@ -97,9 +97,16 @@ def pattern_faults(records: Iterable[FrameRecord], folder: Path) -> list[Problem
     """Name problems of the files that patterns match: several references, odd names, gaps in the numbers."""
     problems = []
     for record in records:
-        files = matching(folder, record.path) if is_pattern(record.path) else ()
+        files = matching(folder, record.path) if is_pattern(record.path) else {}
         names = [PurePosixPath(path).name for path in files]
-        if record.role != "reference":
+        if "{" in record.path:
+            clips: dict[tuple[str, ...], list[str]] = defaultdict(list)
+            for path, fields in files.items():
+                others = (text for name, text in fields.items() if name != "frame")
+                clips[str(PurePosixPath(path).parent), *others].append(fields.get("frame", ""))
+            for (place, *_), numbers in clips.items():
+                problems += _name_faults(PurePosixPath(place), sequence_of(numbers))
+        elif record.role != "reference":
             problems += _name_faults(PurePosixPath(record.path).parent, sequence_of(names))
         elif len(files) > 1:
             advice = "which one is the reference is not known: move the others away"

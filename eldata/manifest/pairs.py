@@ -5,17 +5,14 @@ from __future__ import annotations
 from bisect import bisect
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from eldata.base.fields import names_of
 from eldata.errors import ArgumentError, did_you_mean
 from eldata.manifest.card import Subset, find_subset
 from eldata.records import FrameRecord, PairRecord, from_columns
-
-if TYPE_CHECKING:
-    from fractions import Fraction
-
 
 Item = TypeVar("Item", "PairRecord", "FrameRecord")
 
@@ -77,9 +74,11 @@ class Choice:
         noisy = [
             record
             for record in records
-            if record.role == "noisy" and record.reference is not None and record.ratio is not None
+            if record.role == "noisy" and record.reference is not None
+            if record.ratio is not None or "{" in record.path  # of which no file is there: whoever needs it says so
         ]
-        pairs = from_columns(PairRecord, {name: list(map(attrgetter(name), noisy)) for name in _OF_PAIRS})
+        values = {name: list(map(attrgetter(name), noisy)) for name in _OF_PAIRS}
+        pairs = from_columns(PairRecord, values | {"ratio": [ratio or Fraction(1) for ratio in values["ratio"]]})
         found = None if self.subset is None else find_subset(subsets, self.subset)
         alone = () if found is None else unpaired(records, found)
         if alone:

@@ -1,6 +1,8 @@
-"""Rows that stand for several files, where the names are not published: the last part of the path has a ``*``.
+"""Rows that stand for several files, where not all names are published: a part of the path has a ``*`` or a field.
 
-``VBM4D_rawRGB/0001/*.png`` is every PNG file of that folder. :func:`expand` replaces such rows by the files of one
+``VBM4D_rawRGB/0001/*.png`` is every PNG file of that folder. A field fills in a row: ``noisy/{scene}/{ratio}.npy`` is
+a row for each such file, of that scene and ratio, ``clip.npy#{frame}`` one for each part of an array's first side; what
+a field stands for (of any name) is put into ``reference``, too. :func:`expand` replaces such rows by the files of one
 copy; ``eldata lock`` writes those into the manifest. Until then a missing file shows as a gap in the numbering, or not
 at all: how many there should be is not known.
 """
@@ -10,26 +12,34 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
+from functools import cache
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from eldata.base.files import inside, visible_below
+from eldata.base.files import inside, split_member, visible_below
+from eldata.errors import FileError
+from eldata.manifest.table import parse_cell
+from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from eldata.records import FrameRecord
+    from collections.abc import Iterable, Mapping
 
 _END = 3
+_FIELD = re.compile(r"\{(\w+)\}")
+_FILLED = ("camera", "scene", "split", "iso", "exposure_s", "ratio")  # fields of a row that a path may state
 _DIGITS = re.compile(r"([0-9]+)")
 
 
 def is_pattern(path: str) -> bool:
     """Tell whether a row's path is a pattern, which stands for all files that it matches."""
-    return "*" in path
+    return "*" in path or "{" in path
+
+
+def as_glob(path: str) -> str:
+    """Return the path of a row's file with a ``*`` for each field."""
+    return _FIELD.sub("*", split_member(path)[0])
 
 
 def is_png(path: str) -> bool:
@@ -37,21 +47,69 @@ def is_png(path: str) -> bool:
     return path.lower().endswith(".png")
 
 
-def matching(folder: Path, pattern: str) -> tuple[str, ...]:
-    """Return the files that a pattern matches, relative to the dataset's folder, in the order of their numbers.
+def matching(folder: Path, pattern: str) -> dict[str, dict[str, str]]:
+    """Return the files that a pattern matches, relative to the dataset's folder, and what its fields stand for.
 
-    Hidden files are left out.
+    They are in the order of their numbers. Hidden files are left out.
 
     Raises
     ------
     ManifestError
         If the pattern's folder leads outside of the dataset's folder.
     """
-    place = PurePosixPath(pattern)
-    parent = inside(folder, place.parent.as_posix())
-    files = visible_below(parent, deep=False)
-    names = [path.name for path in files if fnmatchcase(path.name, place.name) and path.is_file()]
-    return tuple(str(place.with_name(name)) for name in sequence_of(names).names)
+    pattern, member = split_member(pattern)
+    found: dict[str, dict[str, str]] = {"": {}}
+    for part in PurePosixPath(pattern).parts:
+        below: dict[str, dict[str, str]] = {}
+        for place, fields in found.items():
+            name = _fill(part, fields)
+            if not is_pattern(name):
+                below[f"{place}{name}/"] = fields
+                continue
+            entries = visible_below(inside(folder, place[:-1]) if place else folder, deep=False)
+            fits = {path.name: _compile(name).fullmatch(path.name) for path in entries}
+            below |= {
+                f"{place}{own}/": fields | fit.groupdict()
+                for own in sequence_of(own for own, fit in fits.items() if fit).names
+                if (fit := fits[own])
+            }
+        found = below
+    files = {place[:-1]: fields for place, fields in found.items() if inside(folder, place[:-1]).is_file()}
+    if not member:
+        return files
+    return {
+        f"{path}#{part}": fields | more
+        for path, fields in files.items()
+        for part, more in _parts_of(folder / path, _fill(member, fields)).items()
+    }
+
+
+def _parts_of(file: Path, member: str) -> dict[str, dict[str, str]]:
+    """Return what is meant in an array file, and what a field for the number of a part stands for."""
+    if (field := _FIELD.search(member)) is None:
+        return {member: {}}
+    from eldata.base.arrays import declared_array
+
+    try:
+        shape = declared_array(file, name=member[: field.start()].rstrip(":"), error=FileError).shape
+    except FileError:  # whatever reads it, or checks it, says why it cannot
+        return {member: {}}
+    return {_FIELD.sub(str(part), member): {field[1]: str(part)} for part in range((*shape, 0)[0])}
+
+
+def _fill(pattern: str, fields: Mapping[str, str]) -> str:
+    """Put what fields stand for into a pattern, where it is known."""
+    return _FIELD.sub(lambda field: fields.get(field[1], field[0]), pattern)
+
+
+@cache
+def _compile(part: str) -> re.Pattern[str]:
+    """Compile a part of a pattern to an expression with a group for each field."""
+    texts = re.split(r"(\*|\?|\{\w+\})", part)
+    signs = {"*": ".*", "?": "."}
+    return re.compile(
+        "".join(f"(?P<{text[1:-1]}>.+?)" if text[:1] == "{" else signs.get(text, re.escape(text)) for text in texts)
+    )
 
 
 def find_elsewhere(folder: Path, paths: Iterable[str]) -> dict[str, str]:
@@ -68,16 +126,30 @@ def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, .
     """Return rows in which the files of a copy replace the patterns, sorted by path.
 
     A pattern that matches nothing stays, and so does one in ``reference`` unless it matches one file.
+
+    Raises
+    ------
+    ManifestError
+        If what a field stands for cannot be the row's, such as a ratio that is no number.
     """
     rows = tuple(records)
     files = {row.path: matching(folder, row.path) for row in rows if is_pattern(row.path)}
     if not files:
         return tuple(sorted(rows, key=attrgetter("path")))
-    only = {pattern: found[0] for pattern, found in files.items() if len(found) == 1}
-    expanded = [
-        replace(row, path=path, reference=None if row.reference is None else only.get(row.reference, row.reference))
-        for row in rows
-        for path in files.get(row.path) or (row.path,)
+    only = {pattern: next(iter(found)) for pattern, found in files.items() if len(found) == 1}
+    expanded = []
+    for row in rows:
+        for path, fields in (files.get(row.path) or {row.path: {}}).items():
+            filled = {name: parse_cell(name, text, path) for name, text in fields.items() if name in _FILLED}
+            if row.reference is not None:
+                filled["reference"] = only.get(row.reference) or _fill(row.reference, fields)
+            expanded.append(replace(row, path=path, **filled))
+    paths = {row.path for row in expanded}
+    needing = {row.reference: row for row in expanded if row.reference is not None}
+    expanded += [
+        FrameRecord(path, "reference", row.camera, row.scene, row.split)
+        for path, row in needing.items()
+        if path not in paths and not is_pattern(path)  # so that it is missed
     ]
     return tuple(sorted(expanded, key=attrgetter("path")))
 

@@ -194,6 +194,20 @@ def _parse_whole(text: str) -> int | None:
     return whole_of(text) if text else None
 
 
+def parse_cell(name: str, text: str, place: str) -> Any:
+    """Parse what a path states of a column.
+
+    Raises
+    ------
+    ManifestError
+        If it cannot be a value of it.
+    """
+    try:
+        return _PARSE[name](text)
+    except ArgumentError as error:
+        raise ManifestError(f"{place}: {error} as {name}") from None
+
+
 # How the cells of each column are read. Most columns have few texts, each of which is read once.
 _cached = lru_cache(2**16)
 _PARSE: dict[str, Callable[[str], Any]] = {

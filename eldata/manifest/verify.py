@@ -26,7 +26,7 @@ from eldata.errors import ManifestError, check_choice, did_you_mean
 from eldata.manifest.catalogue import FrameFiles, Manifest, find_manifests
 from eldata.manifest.file_checks import CheckedFile, check_file
 from eldata.manifest.pair_checks import clip_faults, pattern_faults, png_size_faults, ratio_faults, white_remarks
-from eldata.manifest.patterns import expand, find_elsewhere, is_png
+from eldata.manifest.patterns import expand, find_elsewhere, is_pattern, is_png
 from eldata.manifest.verify_report import COPY_AGAIN, LEVELS, DatasetReport, VerifyReport, distinct, row_fault
 from eldata.raw.files import RAW_EXTENSIONS
 
@@ -96,7 +96,7 @@ def _verify_dataset(
     records = [record for record in manifest.records if not cameras or record.camera in cameras]
     # Two datasets may share a folder and have one each in it (SID/Sony, SID/Fuji): a copy of one may lack the other.
     tops = {record.path.partition("/")[0] for record in manifest.records}
-    needed = folder / tops.pop() if len(tops) == 1 else folder
+    needed = folder / tops.pop() if len(tops) == 1 and not any(map(is_pattern, tops)) else folder
     if not needed.is_dir():
         return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, ())
     problems, present, remarks, levels_dn = check_files(manifest, folder, records, level=level, workers=workers)

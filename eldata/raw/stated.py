@@ -7,7 +7,8 @@ levels (:func:`level_misfit`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,8 @@ ARRAY_EXTENSIONS = frozenset((".npy", ".npz", ".mat", ".h5", ".tif", ".tiff"))
 """Lower case, with the dot."""
 
 MOSAIC_CFAS = ("RGGB", "GRBG", "GBRG", "BGGR")
+PLANES = ("R", "G1", "B", "G2")
+"""Of packed arrays, in the order of this package; G1 lies in the rows of R."""
 
 _AGAIN = "copy or download it again"
 _LARGEST_DN = (1 << 16) - 1
@@ -61,29 +64,42 @@ class MosaicFacts:
         The number that is 1 after normalisation: 1 of a file of shares of white.
     array
         Which array of a file that holds several.
+    level_arrays
+        In place of these two: names of the file's own arrays of black and of white level.
+    planes
+        Of packed arrays, (4, h, w) or (h, w, 4): which plane is which of R, G1 (beside R), B and G2.
+    shape
+        Of a file without a header: rows and columns of two bytes a pixel, the lower first.
     """
 
     paths: str
     cfa: str
-    black_level_dn: tuple[float, ...]
-    white_level_dn: float
+    black_level_dn: tuple[float, ...] = ()
+    white_level_dn: float = 0.0
     cameras: tuple[str, ...] = ()
     array: str = ""
+    level_arrays: tuple[str, ...] = ()
+    planes: tuple[str, ...] = ()
+    shape: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class StatedFile:
-    """A mosaic's file, with the card's facts and the exposure in the manifest's row."""
+    """A mosaic's file, with the card's facts and the exposure in the manifest's row.
+
+    ``member`` is what is meant in it, as :func:`eldata.base.files.split_member` has it.
+    """
 
     path: Path
     facts: MosaicFacts
     exposure: Exposure = Exposure()  # noqa: RUF009 # frozen
+    member: str = ""
 
     @property
     def header(self) -> RawHeader:
-        """What a raw file's header would say."""
-        black = self.facts.black_level_dn
-        levels_dn = sum(black) / len(black), self.facts.white_level_dn
+        """What a raw file's header would say; raises like :meth:`read` if levels in the file cannot be read."""
+        facts = self.with_own_levels().facts
+        levels_dn = sum(facts.black_level_dn) / len(facts.black_level_dn), facts.white_level_dn
         return RawHeader(self.path, "", "", self.exposure, levels_dn=levels_dn)
 
     def read(self) -> RawFrame:
@@ -95,44 +111,94 @@ class StatedFile:
             If the file is missing, damaged, or not one mosaic of numbers in [0, 65535]; or if what is stated does not
             fit it.
         """
-        from eldata.base.arrays import read_array
         from eldata.raw.damage import border_remarks
         from eldata.raw.levels import bayer_cfa
 
-        self._check_kind()
+        if self.facts.level_arrays:
+            return self.with_own_levels().read()
         black, white = self.facts.black_level_dn, self.facts.white_level_dn
-        mosaic = self._to_mosaic(
-            read_array(
-                self.path, partial(_check_declared, self), name=self.facts.array, error=RawFileError, advice=_AGAIN
-            )
-        )
+        mosaic = self._to_mosaic(self._read_array())
         misfit = level_misfit(mosaic, black, white)
         if misfit is not None:
             raise _make_misfit_error(self, misfit, float(mosaic.max()))
-        sensor = Sensor(
-            "", "", bayer_cfa(self.facts.cfa), black * 4 if len(black) == 1 else black, white, *mosaic.shape
-        )
+        black = black * 4 if len(black) == 1 else black
+        sensor = Sensor("", "", bayer_cfa(self.facts.cfa), black, white, *mosaic.shape)
         return RawFrame(self.path, mosaic, sensor, self.exposure, remarks=border_remarks(mosaic))
 
     def check(self) -> None:
         """Check the array that the file declares, without reading pixels; raises like :meth:`read`."""
         from eldata.base.arrays import declared_array
 
-        self._check_kind()
-        declared = declared_array(self.path, name=self.facts.array, error=RawFileError, advice=_AGAIN)
-        _check_declared(self, declared)
+        if self.facts.shape:
+            self._check_size()
+        elif self.facts.level_arrays:
+            self.with_own_levels().check()
+        else:
+            _check_declared(self, declared_array(self.path, **self._options()))
 
-    def _check_kind(self) -> None:
-        """Refuse a file without a header, by its extension."""
+    def _options(self) -> dict[str, Any]:
+        """Say which array of the file is read, and how to speak of it; refuse a file without a header."""
         if self.path.suffix.lower() not in ARRAY_EXTENSIONS:
-            raise UnusableRawError(self.path, "is numbers without a header", "convert it to .npy")
+            advice = "state its shape in the card's mosaics, or convert it to .npy"
+            raise UnusableRawError(self.path, "is numbers without a header", advice)
+        name, _, index = self.member.rpartition(":")
+        if not index.isdecimal():
+            name, index = self.member, ""
+        part = int(index) if index else None
+        return {"name": name or self.facts.array, "index": part, "error": RawFileError, "advice": _AGAIN}
+
+    def _read_array(self) -> NDArray[Any]:
+        """Read the array; of a file without a header, as many numbers as are stated."""
+        import numpy as np
+
+        from eldata.base.arrays import read_array
+
+        if not self.facts.shape:
+            return read_array(self.path, partial(_check_declared, self), **self._options())
+        self._check_size()
+        return np.fromfile(self.path, "<u2").reshape(self.facts.shape)
+
+    def _check_size(self) -> None:
+        """Refuse a file without a header that has not the stated size."""
+        from eldata.base.files import file_problem
+
+        (height, width), problem = self.facts.shape, file_problem(self.path)
+        if problem is None and (held := self.path.stat().st_size) != 2 * height * width:
+            problem = f"expected {2 * height * width} bytes ({height} x {width} pixels), found {held}; {_AGAIN}"
+        if problem is not None:
+            raise RawFileError(self.path, problem)
+
+    def with_own_levels(self) -> StatedFile:
+        """Return it with the levels that stand in the file, if the card says that they do; raises like :meth:`read`."""
+        import numpy as np
+
+        from eldata.base.arrays import read_array
+
+        if not self.facts.level_arrays:
+            return self
+        options = self._options()
+        blacks, whites = (
+            np.ravel(read_array(self.path, partial(_check_levels, self), **options | {"name": name, "index": None}))
+            for name in self.facts.level_arrays
+        )
+        black = dict(zip(self.facts.planes or PLANES, blacks.tolist() * (4 // blacks.size), strict=True))
+        white = float(whites.min())
+        if not max(black.values()) < white == whites.max():
+            stated = f"black {blacks.tolist()} and white {whites.tolist()}"
+            raise RawFileError(self.path, f"expected one white level above black, found {stated}")
+        black_dn = tuple(float(black[plane]) for plane in PLANES)
+        return replace(self, facts=replace(self.facts, black_level_dn=black_dn, white_level_dn=white, level_arrays=()))
 
     def _to_mosaic(self, array: NDArray[Any]) -> NDArray[Any]:
         """Convert an array to a mosaic, uint16 or float32; refuse values that no undamaged file has."""
         import numpy as np
 
         from eldata.raw.damage import mosaic_fault
+        from eldata.raw.levels import bayer_cfa, unpack
 
+        if planes := self.facts.planes:
+            channels = array if array.shape[0] == len(planes) else np.moveaxis(array, -1, 0)
+            array = unpack(channels[[planes.index(plane) for plane in PLANES]], bayer_cfa(self.facts.cfa))
         if array.dtype.kind == "f":
             mosaic = np.ascontiguousarray(array, np.float32)
             if not np.isfinite(mosaic).all():
@@ -152,13 +218,20 @@ def _check_declared(file: StatedFile, declared: Declared) -> None:
     """Refuse an array that is not a mosaic (H, W) of numbers, or whose type ends below the stated white level."""
     import numpy as np
 
-    if len(declared.shape) != 2 or 0 in declared.shape or declared.values not in _VALUES:
-        raise RawFileError(
-            file.path, f"expected a mosaic of numbers, (H, W); found {declared.values} of shape {declared.shape}"
-        )
+    shape, wanted, fits = declared.shape, "a mosaic of numbers, (H, W)", len(declared.shape) == 2
+    if file.facts.planes:
+        wanted, fits = "packed numbers, (4, h, w) or (h, w, 4)", len(shape) == 3 and (shape[0] == 4) != (shape[2] == 4)
+    if not fits or 0 in shape or declared.values not in _VALUES:
+        raise RawFileError(file.path, f"expected {wanted}; found {declared.values} of shape {shape}")
     if "int" in declared.values and np.iinfo(declared.values).max < (1 - _BLACK_ERROR) * file.facts.white_level_dn:
         largest = int(np.iinfo(declared.values).max)
         raise _make_misfit_error(file, f"{declared.values}, which ends at {largest}", largest)
+
+
+def _check_levels(file: StatedFile, declared: Declared) -> None:
+    """Refuse levels in a file that are not one number, or four."""
+    if math.prod(declared.shape) not in (1, 4) or declared.values not in _VALUES:
+        raise RawFileError(file.path, f"expected levels, one number or four; found {declared.values} {declared.shape}")
 
 
 def _make_misfit_error(file: StatedFile, misfit: str, largest: float) -> UnusableRawError:

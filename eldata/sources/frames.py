@@ -19,6 +19,7 @@ import numpy as np
 
 from eldata.base.arrays import read_rgb16
 from eldata.base.compiled import scratch
+from eldata.base.files import split_member
 from eldata.errors import ArgumentError, DatasetError, FileError, check_choice
 from eldata.manifest.catalogue import FrameFiles, known_names
 from eldata.manifest.patterns import find_elsewhere, is_png
@@ -450,7 +451,7 @@ class Files:
         if check == "never" or not isinstance(self._files, FrameFiles):
             return
         folder, paths = self._files.folder, dict.fromkeys(path for record in records for path in record.files)
-        if missing := [path for path in paths if not os.path.exists(f"{folder}/{path}")]:  # noqa: PTH110 # 10 times faster
+        if missing := [path for path in paths if not os.path.exists(f"{folder}/{split_member(path)[0]}")]:  # noqa: PTH110 # 10 times faster
             if self._card is not None:
                 self._require_folders(folder, self._card, missing[0])
             name = "" if self._card is None else f" {self._card.name}"
@@ -464,7 +465,7 @@ class Files:
         camera_in = {row.path.partition("/")[0]: row.camera for row in self.records}
         if not folder.is_dir():
             raise no_folder(folder, card, camera_in)
-        if path in (elsewhere := {} if (folder / path).exists() else find_elsewhere(folder, [path])):
+        if path in (elsewhere := {} if (folder / split_member(path)[0]).exists() else find_elsewhere(folder, [path])):
             found = f"expected {path}, found it in another place, {elsewhere[path]}"
             raise DatasetError(f"{folder}: {found}; move it, and the others, to where the manifest lists them")
         top, slash, _ = path.partition("/")

@@ -566,6 +566,7 @@ BAYER = {
     "sony-eld": SONY,
     "sony-lrid": Route(bayer_in_place, lrid_frame, sony_lrid_input, ratio_by_folder, uncorrected_score),
     "pmn-lrid": Route(bayer_in_place, lrid_frame, lrid_frame, ratio_by_folder, uncorrected_score),
+    "two-shots-lrid": Route(bayer_in_place, lrid_frame, lrid_frame, ratio_by_folder, eld_score),
     "led-sid": on_sid(LED),
     "led-eld": LED,
     "lrd-sid": on_sid(LRD),

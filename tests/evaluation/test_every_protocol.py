@@ -441,9 +441,10 @@ def test_renderings_in_each_phase(sid: Pairs, tmp_path: Path) -> None:
 
 
 def test_every_shipped_protocol_is_compared() -> None:
-    """The clips' in ``test_video``, LRID's, SIDD's and CRVD's, whose files are not all raw, in tests of their own."""
-    assert {*ELD_COUNTS, *SID_COUNTS, *CENTRE, "lrd-lrd", "pmn-lrid", "sony-lrid", "raw"} == {*published_code.BAYER}
-    elsewhere = {"sfrn-sidd", "yond-sidd", "rvidenet-crvd", "florn-crvd"}
+    """The clips' in ``test_video``, those of sets whose files are not all raw in tests of their own."""
+    lrid = "pmn-lrid", "sony-lrid", "two-shots-lrid"
+    assert {*ELD_COUNTS, *SID_COUNTS, *CENTRE, "lrd-lrd", *lrid, "raw"} == {*published_code.BAYER}
+    elsewhere = {"sfrn-sidd", "yond-sidd", "rvidenet-crvd", "florn-crvd", "rvideformer-recrvd", "brve-llrvd"}
     assert {*published_code.BAYER, *published_code.RENDERED, *published_code.CLIPS, *elsewhere} == {*PROTOCOLS}
     assert {name for name in PROTOCOLS if PROTOCOLS[name].kind is not IMAGES} == {*published_code.CLIPS}
 

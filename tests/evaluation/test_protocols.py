@@ -129,7 +129,9 @@ def test_get_protocol() -> None:
 
 
 SRGB_OF_SID = "sid-srgb sid-raw2rgb sid-rgb2rgb sid2018"
-OF_ONES_OWN = "raw eld eld-uncorrected eld-cvpr20 led-sid lrd-sid sid-srgb sid-raw2rgb eld-srgb eld-raw2rgb sid2018"
+OF_ONES_OWN = (
+    "raw eld eld-uncorrected eld-cvpr20 led-sid lrd-sid sid-srgb sid-raw2rgb eld-srgb eld-raw2rgb sid2018 brve-llrvd"
+)
 
 
 @pytest.mark.parametrize(
@@ -139,7 +141,7 @@ OF_ONES_OWN = "raw eld eld-uncorrected eld-cvpr20 led-sid lrd-sid sid-srgb sid-r
         ("sid-sony", "sid sid-uncorrected eld-cvpr20 sid-tpami pmn-sid sony-sid led-sid lrd-sid " + SRGB_OF_SID),
         ("sid-fuji", "sid sid-uncorrected sid2018"),
         ("lrd", "lrd-lrd"),
-        ("lrid", "pmn-lrid sony-lrid"),
+        ("lrid", "pmn-lrid sony-lrid two-shots-lrid"),
         ("drv", "drv-rgb drv-rgb-uncorrected"),
         ("mine", OF_ONES_OWN),
     ],

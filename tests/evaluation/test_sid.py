@@ -171,7 +171,7 @@ def lrid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-@pytest.mark.parametrize("protocol", ["pmn-lrid", "sony-lrid"])
+@pytest.mark.parametrize("protocol", ["pmn-lrid", "sony-lrid", "two-shots-lrid"])
 @pytest.mark.parametrize("subset", COUNTS)
 def test_the_input_has_the_scores_of_the_published_arithmetic(subset: str, protocol: str, lrid: Path) -> None:
     result = evaluate(None, "lrid", root=lrid, baseline="input", subset=subset, protocol=protocol)

@@ -18,7 +18,7 @@ from eldata.manifest.pairs import Choice
 from manifests.published_lrid import bursts_from_infos
 from tests.bait import Bait
 
-ALONE = ("aim25", "fivek", "lld", "rawnind", "sidd-cc")
+ALONE = ("aim25", "aim25-video", "fivek", "lld", "mipi24", "raw-denoise", "rawnind", "sidd-cc")
 
 
 # --- LRID -------------------------------------------------------------------------------------------------------------
@@ -166,7 +166,7 @@ def test_a_set_without_a_manifest_is_told_from_an_unknown_one(name: str, tmp_pat
     for use in (lambda: shipped_manifest(name), lambda: evaluate(tmp_path, name), lambda: PairDataset(tmp_path, name)):
         with pytest.raises(ManifestError, match=f"knows '{name}' by its card alone.*eldata info {name}"):
             use()
-    with pytest.raises(ManifestError, match="no dataset is called 'lrb'; known are aim25, crvd, drv"):
+    with pytest.raises(ManifestError, match="no dataset is called 'lrb'; known are aim25, aim25-video, crvd, drv"):
         shipped_card("lrb")
     with pytest.raises(ManifestError, match="no dataset is called 'lrb'; known are crvd, drv"):
         shipped_manifest("lrb")

@@ -168,7 +168,7 @@ def npy(values: NDArray[Any]) -> bytes:
         ("x.npy", npy(np.full((4, 4), np.nan, np.float32)), "not finite"),
         ("x.mat", b"\x89HDF\r\n\x1a\n", "is HDF5 without MATLAB's header: name it .h5"),
         ("x.h5", b"MATLAB 7.3 MAT-file", "is a MATLAB file: name it .mat"),
-        ("x.bin", bytes(96), "is numbers without a header; convert it to .npy"),
+        ("x.bin", bytes(96), "is numbers without a header; state its shape"),
     ],
 )
 def test_what_is_no_mosaic_is_named(name: str, content: bytes, problem: str, tmp_path: Path) -> None:

@@ -139,6 +139,10 @@ def source_of_dataset(
     if manifest is not None and loaded.name != name:
         raise ArgumentError(f"{manifest}: is the manifest of {loaded.name!r}, not of {name!r}")
     folder = _require_folder(loaded, root)
+    listing = loaded.path.read_bytes(), loaded.path.with_suffix(".json").read_bytes()
+    if (of_copy := loaded.of_copy(folder)) is not loaded:
+        listing = table_text(loaded.path, of_copy.records).encode(), card_text(of_copy.card).encode()
+        loaded = load_manifest(loaded.path, listing)
     if _holds_clips(loaded.records):
         return _source_of_clips(loaded.card, loaded.records, folder, choice, ids)
     if ids is not None:
@@ -154,7 +158,6 @@ def source_of_dataset(
             f"{packed[0]}: is a packed array, not a raw file in DN, as are {len(packed)} in all; a store holds raw "
             "files (eldata synthesize --format dng makes them)"
         )
-    listing = loaded.path.read_bytes(), loaded.path.with_suffix(".json").read_bytes()
     return Source(name, folder, tuple(files.items()), loaded, listing)
 
 
@@ -172,7 +175,8 @@ def _require_folder(manifest: Manifest, root: Path | str | None) -> Path:
 def _holds_clips(rows: Sequence[FrameRecord]) -> bool:
     """Tell whether rows are clips: patterns, PNG frames, or noisy frames none of which has a nominal ratio."""
     ratios = [row.ratio for row in rows if row.role == "noisy"]
-    return any(is_pattern(row.path) or is_png(row.path) for row in rows) or (bool(ratios) and not any(ratios))
+    patterns = any(is_pattern(row.path) and "{" not in row.path for row in rows)
+    return patterns or any(is_png(row.path) for row in rows) or (bool(ratios) and not any(ratios))
 
 
 def _source_of_clips(

@@ -26,15 +26,8 @@ if TYPE_CHECKING:
 def add_options(parser: console.Parser) -> None:
     """Add the options of `eldata manifest`."""
     parser.add_argument("folder", metavar="FOLDER", help="the set's own folder, in the folder that holds the datasets")
-    add_output(
-        parser,
-        "-o",
-        "--output",
-        beside=[".json"],
-        required=True,
-        metavar="CSV",
-        help="the new manifest, such as mine.csv; its card becomes mine.json",
-    )
+    text = "the new manifest, such as mine.csv; its card becomes mine.json"
+    add_output(parser, "-o", "--output", beside=[".json"], required=True, metavar="CSV", help=text)
     parser.add_argument(
         "--reference",
         metavar="PATTERN",

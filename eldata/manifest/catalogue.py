@@ -467,13 +467,12 @@ def find_manifests(where: Path | str | Iterable[Path | str], root: Path | str | 
     if not isinstance(where, (str, Path)):
         return tuple(manifest for one in where for manifest in find_manifests(one, root))
     if is_name(where):
-        if where not in known_names() and (own := _own_path(str(where), root)):
+        if where in known_names():
+            return (checking_manifest(str(where), root),)
+        if own := _own_path(str(where), root):
             return (load_manifest(own),)
-        if where not in known_names():
-            raise ManifestError(
-                f"{where}: there is no such file or folder, and {_explain_unknown(str(where), known_names())}"
-            )
-        return (checking_manifest(str(where), root),)
+        known = _explain_unknown(str(where), known_names())
+        raise ManifestError(f"{where}: there is no such file or folder, and {known}")
     path = Path(where)
     if path.is_dir():
         found = [file for file in visible_below(path, deep=False) if file.suffix == ".csv"]

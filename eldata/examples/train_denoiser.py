@@ -304,7 +304,7 @@ def parser() -> console.Parser:
     data.add_argument("--clean", nargs="+", metavar="CLEAN", help="folders of clean raws, manifests, or packed stores")
     add_training_options(parser, data)
     data.add_argument("--pairs", metavar="STORE", help="a packed store of pairs")
-    data.add_argument("--noise2noise", action="store_true", help="a second noisy frame in place of the clean one")
+    data.add_argument("--noise2noise", action="store_true", help="a second noisy frame instead of the clean one")
     text = "so many at random in an epoch (default: the paper's, each of a grid once)"
     data.add_argument("--crops-per-frame", type=int, metavar="N", help=text)
     text, tasks = "from what to what (default: %(default)s)", ("raw2raw", "raw2rgb", "rgb2rgb")

@@ -116,7 +116,7 @@ class Manifest:
 
     def own_folder(self, root: Path | str | None) -> Path:
         """Find the dataset's folder if ``root`` is meant to be it; ``None``: below the data root."""
-        return self.folder() if root is None else self.folder_at(Path(root), Path(root))
+        return self.folder() if root is None else self.folder_at(data_root(root), data_root(root))
 
     def folder_at(self, expected: Path, *places: Path) -> Path:
         """Return the folder that holds the dataset's files: the expected one if it does, or none else does.
@@ -158,10 +158,8 @@ class Manifest:
 
 
 def data_root(root: Path | str | None = None) -> Path:
-    """Return the folder that holds the datasets: ``root``, else ``$ELDATA_ROOT``, else ``./data``."""
-    if root is not None:
-        return Path(root)
-    return Path(os.environ.get(ROOT_VARIABLE) or "data")
+    """Return the folder that holds the datasets: ``root``, else ``$ELDATA_ROOT``, else ``./data``; ``~`` is the home."""
+    return Path(root if root is not None else os.environ.get(ROOT_VARIABLE) or "data").expanduser()
 
 
 def is_manifest(place: Path | str) -> bool:

@@ -107,6 +107,8 @@ def test_the_root_comes_from_the_environment(pristine: Tree, monkeypatch: pytest
     """--root wins over $ELDATA_ROOT, which wins over ./data."""
     monkeypatch.delenv("ELDATA_ROOT", raising=False)
     assert data_root() == Path("data")
+    monkeypatch.setenv("HOME", str(pristine.root.parent))
+    assert verify([pristine.manifest], f"~/{pristine.root.name}").ok, "of --root=~/data a shell leaves the tilde"
     monkeypatch.setenv("ELDATA_ROOT", str(pristine.root))
     assert verify(pristine.csv).ok
     assert data_root("other") == Path("other")

@@ -101,7 +101,7 @@ def test_workers_do_not_matter(method: str, persistent: bool, store: Path) -> No
 def test_torchs_splits_samplers_and_stateful_loader(store: Path) -> None:
     """A dataset ends by an IndexError, as theirs do; and a copy's loader goes on in the middle of an epoch."""
     pairs = of_epoch(KINDS["store"](None, store), 1)
-    ranks = [DistributedSampler(pairs, 2, rank) for rank in (0, 1)]
+    ranks: list[Any] = [DistributedSampler(pairs, 2, rank) for rank in (0, 1)]
     for parts in ([part.indices for part in random_split(pairs, [0.25, 0.75])], ranks):
         assert sorted(itertools.chain(*parts)) == list(range(len(pairs)))
     assert len(list(pairs)) == len(pairs)

@@ -158,7 +158,7 @@ class Manifest:
 
 
 def data_root(root: Path | str | None = None) -> Path:
-    """Return the folder that holds the datasets: ``root``, else ``$ELDATA_ROOT``, else ``./data``; ``~`` is the home."""
+    """Return the folder that holds the datasets: ``root``, else ``$ELDATA_ROOT``, else ``./data``; ``~`` is home."""
     return Path(root if root is not None else os.environ.get(ROOT_VARIABLE) or "data").expanduser()
 
 

@@ -1,8 +1,8 @@
 """`eldata demo`: try everything on simulated raw files, without a download.
 
 Photograph procedural scenes with two simulated cameras into real DNG files, verify them, denoise them, score the
-results and draw a contact sheet. With --train, train a network on other scenes of these cameras, in about two minutes
-on two CPU cores, and score it too. With --calibration, take bias and flat-field frames with a camera
+results and draw a contact sheet. With --train, train a network on other scenes of these cameras, and score it too: two
+minutes on two CPU cores, too short for a good one. With --calibration, take bias and flat-field frames with a camera
 whose noise is known, calibrate it from them, and compare with the truth. DIR must be new, empty, or an earlier demo.
 
     eldata demo
@@ -47,10 +47,9 @@ def run(arguments: console.Arguments) -> int:
     from pathlib import Path
 
     folder, seed, workers = Path(arguments.folder), arguments.seed, Workers(arguments.jobs)
-    if arguments.beside is not None and arguments.calibration:
-        raise ArgumentError("--beside is about the demo that scores: leave it out with --calibration")
-    if arguments.scenes is not None and arguments.calibration:
-        raise ArgumentError("--scenes is about photographs of scenes: leave it out with --calibration")
+    for option in ("beside", "scenes"):
+        if arguments.calibration and getattr(arguments, option) is not None:
+            raise ArgumentError(f"--{option} is about the demo that scores: leave it out with --calibration")
     if arguments.calibration:
         from eldata.demo.calibration import run_calibration_demo
         from eldata.demo.calibration_frames import DEMO_FEATURES

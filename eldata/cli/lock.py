@@ -17,7 +17,7 @@ from eldata.manifest.lock import LockReport, lock
 
 def add_options(parser: console.Parser) -> None:
     """Add the options of `eldata lock`."""
-    text = "a dataset's name, or a manifest's CSV file, which is changed"
+    text = "a dataset's name, or a manifest of your own (CSV file or name), which is changed"
     parser.add_argument("manifest", metavar="MANIFEST", help=text)
     console.add_cameras(parser)
     console.add_shared(parser, run, "root", "workers", json=True)

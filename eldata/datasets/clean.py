@@ -83,8 +83,8 @@ class CleanFrames:
     Raises
     ------
     DatasetError
-        If there is not a raw file, a store or manifest has no clean frames, it is not certain which of a folder's are
-        clean, or two of several places hold one file.
+        If there is not a raw file, a store or manifest has no clean frames or a reference of it is not there, it is not
+        certain which of a folder's are clean, or two of several places hold one file.
     ManifestError
         If a manifest is malformed.
     StoreError
@@ -184,6 +184,9 @@ def _list_references(manifest: str) -> list[Path | StatedFile]:
     rows = [row for row in expand(loaded.records, folder) if row.role == "reference"]
     if not rows:
         raise DatasetError(f"{manifest}: lists no reference below {folder}, and references are its clean frames")
+    if missing := [row.path for row in rows if not (folder / row.path).is_file()]:
+        lacks = f"lacks {len(missing)} of the {len(rows)} references of {manifest}, first {missing[0]}"
+        raise DatasetError(f"{folder}: {lacks}; ELDATA_ROOT names the folder that holds the set")
     files = FrameFiles.of(folder, loaded.card, rows)
     return [files.at(row.path) for row in rows]
 

@@ -75,7 +75,7 @@ def evaluate(
     root
         The folder that holds the datasets. Default: ``$ELDATA_ROOT``, else ``./data``.
     manifest
-        A manifest's CSV file, in place of ``dataset``: your own set, or that of a copy's raw clips
+        A manifest's CSV file, instead of ``dataset``: your own set, or that of a copy's raw clips
         (:func:`eldata.manifest.layouts.scan_raw`). Any protocol of images may score your own set, on the set's own
         pairs: those at the protocol's factors if it has every one of them, else all. Default: the shipped one.
     cameras

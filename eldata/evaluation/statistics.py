@@ -1,8 +1,8 @@
 """How sure a mean over images is: intervals and tests that treat a scene's images as one.
 
-Images of one scene share what is in it, how it was lit and its one reference, so they err together: 24 images of 4
-scenes say about as much as 4 images, not 24. What several cameras photographed of one scene errs together too: four
-cameras on the same ten scenes say about as much as ten images. So what counts as one is a scene, of all cameras where
+Images of one scene share what is in it, how it was lit and its one reference, so their errors are correlated: 24 images
+of 4 scenes say about as much as 4 images, not 24. So are those of several cameras on one scene: four cameras on the
+same ten scenes say about as much as ten images. So what counts as one is a scene, of all cameras where
 they share their scenes (:func:`list_clusters`).
 
 The interval is Student's, with the deviation that the mean over images has when each scene is left out in turn
@@ -96,7 +96,7 @@ class Difference:
 
 
 def list_clusters(scores: Iterable[UnitScore], *, scenes_shared: bool) -> list[Hashable]:
-    """Return the cluster of each score, whose members err together: the scenes of this module.
+    """Return the cluster of each score, whose members' errors are correlated: the scenes of this module.
 
     Parameters
     ----------

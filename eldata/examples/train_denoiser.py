@@ -301,11 +301,10 @@ def start_ranks(kind: str) -> torch.device:
 def parser() -> console.Parser:
     """Make the command line's parser."""
     parser, data = program(__doc__, run)
-    text = "folders of clean raws, manifests, or packed stores of such"
-    data.add_argument("--clean", nargs="+", metavar="CLEAN", help=text)
+    data.add_argument("--clean", nargs="+", metavar="CLEAN", help="folders of clean raws, manifests, or packed stores")
     add_training_options(parser, data)
     data.add_argument("--pairs", metavar="STORE", help="a packed store of pairs")
-    data.add_argument("--noise2noise", action="store_true", help="a second noisy frame in place of the clean one")
+    data.add_argument("--noise2noise", action="store_true", help="a second noisy frame instead of the clean one")
     text = "so many at random in an epoch (default: the paper's, each of a grid once)"
     data.add_argument("--crops-per-frame", type=int, metavar="N", help=text)
     text, tasks = "from what to what (default: %(default)s)", ("raw2raw", "raw2rgb", "rgb2rgb")
@@ -351,8 +350,7 @@ def add_training_options(parser: argparse.ArgumentParser, data: argparse._Argume
     data.add_argument("--crop", type=int, default=512, metavar="PX", help=f"side in packed pixels {default}")
     how = parser.add_argument_group("training")
     how.add_argument("--epochs", type=int, default=200, metavar="N", help=f"the schedule is scaled to them {default}")
-    text = "train no further: make model.pt2 of what checkpoint.pt has"
-    how.add_argument("--finish", action="store_true", help=text)
+    how.add_argument("--finish", action="store_true", help="train no further: make model.pt2 of what checkpoint.pt has")
     how.add_argument("--batch-size", type=int, default=1, metavar="N", help=f"per process {default}")
     how.add_argument("--learning-rate", type=float, default=1e-4, metavar="RATE", help=f"of Adam, at first {default}")
     how.add_argument("--width", type=int, default=32, metavar="N", help=f"channels of the first level {default}")

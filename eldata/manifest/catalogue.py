@@ -127,7 +127,7 @@ class Manifest:
 
     def own_folder(self, root: Path | str | None) -> Path:
         """Find the dataset's folder if ``root`` is meant to be it; ``None``: below the data root."""
-        return self.folder() if root is None else self.folder_at(Path(root), Path(root))
+        return self.folder() if root is None else self.folder_at(data_root(root), data_root(root))
 
     def folder_at(self, expected: Path, *places: Path) -> Path:
         """Return the folder that holds the dataset's files: the expected one if it does, or none else does.
@@ -173,10 +173,8 @@ class Manifest:
 
 
 def data_root(root: Path | str | None = None) -> Path:
-    """Return the folder that holds the datasets: ``root``, else ``$ELDATA_ROOT``, else ``./data``."""
-    if root is not None:
-        return Path(root)
-    return Path(os.environ.get(ROOT_VARIABLE) or "data")
+    """Return the folder that holds the datasets: ``root``, else ``$ELDATA_ROOT``, else ``./data``; ``~`` is home."""
+    return Path(root if root is not None else os.environ.get(ROOT_VARIABLE) or "data").expanduser()
 
 
 def is_manifest(place: Path | str) -> bool:
@@ -482,13 +480,12 @@ def find_manifests(where: Path | str | Iterable[Path | str], root: Path | str | 
     if not isinstance(where, (str, Path)):
         return tuple(manifest for one in where for manifest in find_manifests(one, root))
     if is_name(where):
-        if where not in known_names() and (own := _own_path(str(where), root)):
+        if where in known_names():
+            return (checking_manifest(str(where), root),)
+        if own := _own_path(str(where), root):
             return (load_manifest(own),)
-        if where not in known_names():
-            raise ManifestError(
-                f"{where}: there is no such file or folder, and {_explain_unknown(str(where), known_names())}"
-            )
-        return (checking_manifest(str(where), root),)
+        known = _explain_unknown(str(where), known_names())
+        raise ManifestError(f"{where}: there is no such file or folder, and {known}")
     path = Path(where)
     if path.is_dir():
         found = [file for file in visible_below(path, deep=False) if file.suffix == ".csv"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base.files import inside, sha256_of, write_problem
@@ -15,8 +14,9 @@ from eldata.manifest.catalogue import (
     FrameFiles,
     Manifest,
     data_root,
-    is_name,
+    find_manifest,
     known_manifest,
+    known_names,
     load_manifest,
     locked_path,
     save_manifest,
@@ -28,6 +28,7 @@ from eldata.manifest.verify_report import Problem, VerifyReport, row_fault
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
+    from pathlib import Path
 
     from eldata.manifest.card import CameraCard
     from eldata.records import FrameRecord
@@ -65,8 +66,9 @@ def lock(
     Parameters
     ----------
     manifest
-        The manifest's CSV file, which is changed. Or the name of a known set: what is filled in is then written to
-        ``<root>/manifests/<name>.csv``, beside the data, where :func:`~eldata.manifest.verify.verify` finds it by name.
+        The manifest's CSV file, or a set's of one's own by its name: the file is changed. Or the name of a known set:
+        what is filled in is then written to ``<root>/manifests/<name>.csv``, beside the data, where
+        :func:`~eldata.manifest.verify.verify` finds it by name.
     root
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
     cameras
@@ -110,8 +112,9 @@ def lock(
 
 def _find_source(manifest: Path | str, root: Path | str | None) -> tuple[Manifest, Path]:
     """Return the manifest that is to be filled in, and the file that it is written to, which is tried."""
-    if not is_name(manifest):
-        return load_manifest(manifest), Path(manifest)
+    if manifest not in known_names():
+        loaded = find_manifest(manifest, root)
+        return loaded, loaded.path
     known, path = known_manifest(str(manifest)), locked_path(str(manifest), root)
     loaded = load_manifest(path) if path.is_file() else known
     if loaded.card.version != known.card.version:  # of an earlier eldata: its hashes are taken again

@@ -153,24 +153,24 @@ class VerifyReport:
         return "\n".join(lines)
 
 
-_MANY = 8  # files with the same wrong setting, or of wrong sizes, are one problem in the text
+_MANY = 8  # files whose setting is off by one factor are one problem in the text; of fewer wrong sizes each is named
 _SIZES = ("size_bytes", "width", "height")
 
 
 def _format_problems(problems: Sequence[Problem]) -> list[str]:
-    """Format problems in their order; many files of wrong sizes, or off by one factor, are one."""
+    """Format problems in their order; files of wrong sizes, and many that are off by one factor, are one."""
     groups: dict[object, list[Problem]] = {}
     for problem in problems:
         percent = _percent_of_expected(problem)
-        kind = FIGURE.sub("0", problem.expected) if problem.field in _SIZES else problem.path
+        kind = FIGURE.sub("0", problem.expected) if problem.field in _SIZES else problem
         key = problem.dataset, problem.field, problem.advice, kind if percent is None else percent
         groups.setdefault(key, []).append(problem)
     texts: dict[Problem, str] = {}
     for alike in groups.values():
         texts.update((problem, problem.format_text()) for problem in alike)
-        if len(alike) >= _MANY:
-            first = alike[0]
-            many = f"{first.path} and {len(alike) - 1} others alike"
+        first, paths = alike[0], [problem.path for problem in alike]
+        if len(alike) >= (2 if first.field in _SIZES else _MANY):
+            many = f"{paths[0]} and {len(paths) - 1} others alike" if len(paths) >= _MANY else ", ".join(paths)
             spans = {name: span_figures([getattr(each, name) for each in alike]) for name in ("expected", "found")}
             if (percent := _percent_of_expected(first)) is not None:
                 share = f"{first.found} there; in all {len(alike)} files {percent} % of what is expected"

@@ -314,8 +314,7 @@ class DarkShading:
         about = json_text(self._list_facts() | {"digest": self.digest}, indent=None).encode()
         with atomic_write(path) as file:
             np.savez(
-                file,
-                allow_pickle=False,
+                file,  # plain numbers: nothing is pickled, and numpy 2.1 has no allow_pickle here
                 about=np.frombuffer(about, np.uint8),
                 slope_dn=self.slope_dn.astype("<f4", copy=False),
                 offset_dn=self.offset_dn.astype("<f4", copy=False),

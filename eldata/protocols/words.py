@@ -139,7 +139,7 @@ def described(protocol: Protocol) -> list[tuple[str, str]]:
     return [("name", protocol.name), ("title", protocol.title), *rows, *metrics]
 
 
-HEADER = ("protocol", "dataset", "pairs", "unlike eld")
+HEADER = ("protocol", "dataset", "pairs", "differs from eld by")
 """Columns of a list of protocols."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import os
 from collections import Counter
@@ -10,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import ConcatDataset, DataLoader, Subset
+from torch.utils.data import ConcatDataset, DataLoader, DistributedSampler, Subset, random_split
+from torchdata.stateful_dataloader import StatefulDataLoader
 
 from eldata import PackedStore, SyntheticClips, SyntheticPairs
 from eldata.datasets import (
@@ -93,6 +95,22 @@ def test_workers_do_not_matter(method: str, persistent: bool, store: Path) -> No
     for one, other in zip(itertools.chain(*wanted), itertools.chain(*passes(loader, 2)), strict=True):
         same(one, other)
     same(dataset[7], of_epoch(KINDS["synthetic"](None, store), 2)[7])  # this process counts on
+
+
+@pytest.mark.filterwarnings("ignore:'set_vital' is deprecated:UserWarning")  # torchdata's own
+def test_torchs_splits_samplers_and_stateful_loader(store: Path) -> None:
+    """A dataset ends by an IndexError, as theirs do; and a copy's loader goes on in the middle of an epoch."""
+    pairs = of_epoch(KINDS["store"](None, store), 1)
+    ranks: list[Any] = [DistributedSampler(pairs, 2, rank) for rank in (0, 1)]
+    for parts in ([part.indices for part in random_split(pairs, [0.25, 0.75])], ranks):
+        assert sorted(itertools.chain(*parts)) == list(range(len(pairs)))
+    assert len(list(pairs)) == len(pairs)
+    loader, later = (StatefulDataLoader(each, batch_size=5) for each in (pairs, copy.deepcopy(pairs)))
+    batches = iter(loader)
+    next(batches)
+    later.load_state_dict(loader.state_dict())
+    for one, other in zip(batches, later, strict=True):
+        same(one, other)
 
 
 def test_to_look_at_an_item_is_not_to_ask_for_it(store: Path) -> None:

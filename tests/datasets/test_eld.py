@@ -87,6 +87,8 @@ def test_missing_files_are_named_as_the_set_is_made(tree: Tree) -> None:
 
 
 def test_the_default_root(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tree.root.parent))
+    assert len(ELDDataset(f"~/{tree.root.name}/{tree.folder}", manifest=tree.csv)) == 12
     monkeypatch.setenv("ELDATA_ROOT", str(tree.root))
     assert ELDDataset(manifest=tree.csv).root == tree.data
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import re
 import subprocess
@@ -218,3 +219,12 @@ def test_a_name_that_needs_torch_says_how_to_install_it(place: str, name: str) -
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
     told = f"ModuleNotFoundError: {name} needs torch, which is not installed: pip install torch"
     assert done.stderr.splitlines()[-1] == told
+
+
+def test_a_program_that_needs_torch_says_how_to_install_it(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import sys; sys.modules['torch'] = None")
+    places = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    command = [sys.executable, "-m", "eldata.examples.train_denoiser", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, env=places, timeout=PATIENCE_S)
+    told = "eldata.examples needs torch, which is not installed: pip install torch\n"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", told)

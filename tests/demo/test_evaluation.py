@@ -88,7 +88,9 @@ def test_training_on_the_demo(
     before, after = (np.mean([image["psnr_db"] for image in found["images"]]) for found in scores.values())
     assert {image["scene"] for image in scores["trained"]["images"]} == {"scene-1"}
     side = "above" if after > before else "below"
-    assert last == f"trained: {abs(after - before):.2f} dB {side} the amplified input."
+    assert last.startswith(
+        f"trained: {abs(after - before):.2f} dB {side} the amplified input. Two minutes are too short"
+    )
     shown = [shlex.split(line)[1:] for line in lines if line.startswith("$ eldata ") and "trained" in line]
     assert [one[1] for one in shown] == ["predict", "evaluate", "evaluate"]  # as the training has it, and as it is done
     assert shown[1] == shown[2]

@@ -24,9 +24,11 @@ def contents(tree: Tree) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in tree.csv.parent.iterdir()}
 
 
-def test_sizes_and_hashes_are_filled_in(tree: Tree) -> None:
+@pytest.mark.parametrize("by_name", [False, True])
+def test_sizes_and_hashes_are_filled_in(tree: Tree, by_name: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     before = tree.manifest.records
-    report = lock(tree.csv, tree.root)
+    monkeypatch.chdir(tree.csv.parent)
+    report = lock(tree.csv.stem if by_name else tree.csv, tree.root)
     assert (report.files_locked, report.problems) == (32, ())
     assert report.checks.level == "metadata"
     for old, new in zip(before, tree.manifest.records, strict=True):

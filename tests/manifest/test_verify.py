@@ -79,6 +79,15 @@ def test_sizes_that_differ_by_file_are_one_problem_with_their_range(tree: Tree) 
     assert len(lines) == 5
 
 
+def test_two_files_of_wrong_sizes_are_one_problem_that_names_both(tree: Tree) -> None:
+    rows = [replace(row, size_bytes=(tree.data / row.path).stat().st_size) for row in tree.manifest.records]
+    rows[:2] = [replace(row, size_bytes=row.size_bytes + 5) for row in rows[:2] if row.size_bytes]
+    save_records(tree.csv, rows)
+    lines = check(tree, "quick").format_text().splitlines()
+    assert lines[0] == f"{rows[0].path}, {rows[1].path}: size_bytes"
+    assert len(lines) == 5
+
+
 def test_reports_do_not_depend_on_the_number_of_jobs(tree: Tree) -> None:
     """Results come back in order from worker processes, and what they say survives the way."""
     tree.file(2).write_bytes(tree.file(2).read_bytes()[:-4000])
@@ -94,6 +103,8 @@ def test_the_root_comes_from_the_environment(pristine: Tree, monkeypatch: pytest
     """--root wins over $ELDATA_ROOT, which wins over ./data."""
     monkeypatch.delenv("ELDATA_ROOT", raising=False)
     assert data_root() == Path("data")
+    monkeypatch.setenv("HOME", str(pristine.root.parent))
+    assert verify([pristine.manifest], f"~/{pristine.root.name}").ok, "of --root=~/data a shell leaves the tilde"
     monkeypatch.setenv("ELDATA_ROOT", str(pristine.root))
     assert verify(pristine.csv).ok
     assert data_root("other") == Path("other")

@@ -106,7 +106,7 @@ def rewritten(path: Path, fields: dict[str, Any], arrays: dict[str, NDArray[Any]
     data = json.loads(held["about"].tobytes()) | fields
     held["about"] = np.frombuffer(json.dumps(data).encode(), np.uint8)
     with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **(held | arrays))
+        np.savez(file, **(held | arrays))
 
 
 def test_other_and_damaged_files_are_refused(shading: DarkShading, tmp_path: Path) -> None:

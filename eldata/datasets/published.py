@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clips import ClipWindows
@@ -441,12 +441,15 @@ class CRVDDataset(ClipWindows):
     (50, torch.Size([3, 4, 540, 960]), torch.Size([3, 4, 540, 960]))
     """
 
+    shipped: ClassVar[str] = "crvd"
+    """Name of the manifest that is read by default."""
+
     def __init__(
         self,
         root: Path | str | None = None,
         *,
         shots: Collection[int] = SHOTS,
-        manifest: Path | str = "crvd",
+        manifest: Path | str | None = None,
         ids: Collection[str] | None = None, window: int = 5, stride: int | None = None, frames: FrameRange = "all",
         region: Region | None = None, crops_per_window: int = 1,
         cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
@@ -458,7 +461,7 @@ class CRVDDataset(ClipWindows):
         check: FileCheck = "exists",
     ) -> None:  # fmt: skip
         options = keywords_of(locals(), "root", "shots", "manifest", "check")
-        listed = find_manifest(manifest)
+        listed = find_manifest(manifest or self.shipped)
         folder = listed.own_folder(root)
         if (of_copy := listed.of_copy(folder)) is not listed and not folder.is_dir():
             raise no_folder(folder, listed.card, (listed.records[0].path,))
@@ -510,8 +513,7 @@ class ReCRVDDataset(CRVDDataset):
     Dataset", IEEE Transactions on Circuits and Systems for Video Technology, 2025.
     """
 
-    def __init__(self, root: Path | str | None = None, *, manifest: Path | str = "recrvd", **options: Any) -> None:
-        super().__init__(root, manifest=manifest, **options)
+    shipped = "recrvd"
 
 
 class LLRVDDataset(CRVDDataset):
@@ -527,8 +529,7 @@ class LLRVDDataset(CRVDDataset):
     IEEE Transactions on Multimedia, 2022.
     """
 
-    def __init__(self, root: Path | str | None = None, *, manifest: Path | str = "llrvd", **options: Any) -> None:
-        super().__init__(root, manifest=manifest, **options)
+    shipped = "llrvd"
 
 
 class PMRIDDataset(PairDataset):
@@ -543,8 +544,20 @@ class PMRIDDataset(PairDataset):
     European Conference on Computer Vision, 2020.
     """
 
-    def __init__(self, root: Path | str | None = None, *, manifest: Path | str = "pmrid", **options: Any) -> None:
-        super().__init__(root, manifest, **options)
+    def __init__(
+        self,
+        root: Path | str | None = None,
+        *,
+        manifest: Path | str = "pmrid",
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
+        seed: int = 0, transform: Transform | None = None, check: FileCheck = "exists",
+    ) -> None:  # fmt: skip
+        super().__init__(**keywords_of(locals()))
 
 
 # --- all datasets by name -----------------------------------------------------------------------------------------

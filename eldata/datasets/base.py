@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.tables import frame_of
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, DrawnItem, Part, keywords_of, take_choice
+from eldata.datasets.items import CroppedItems, Crops, DrawnItem, Part, Transform, keywords_of, take_choice
 from eldata.manifest.catalogue import FrameFiles, find_manifest
 from eldata.protocols.named import default_protocol
-from eldata.records import Records
-from eldata.sources.frames import KEPT_BYTES, Files
-from eldata.sources.pairs import PairOpener
+from eldata.records import PairRecord, Records
+from eldata.sources.frames import KEPT_BYTES, FileCheck, Files, Frame, FrameSource
+from eldata.sources.pairs import OpenedPair, PairOpener
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -23,14 +23,10 @@ if TYPE_CHECKING:
     import numpy as np
     import pandas as pd
 
-    from eldata.datasets.items import Crops, Transform
     from eldata.manifest.clips import ClipRecord
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
     from eldata.raw.levels import Clip, FrameLevels
-    from eldata.records import PairRecord
-    from eldata.sources.frames import FileCheck, Frame, FrameSource
-    from eldata.sources.pairs import OpenedPair
 
 SIDES = ("input", "target")
 

@@ -19,7 +19,7 @@ from eldata.manifest.catalogue import FrameFiles, data_root, find_manifest
 from eldata.manifest.pairs import WARM_SENSOR, as_values
 from eldata.manifest.patterns import expand
 from eldata.raw.files import RAW_EXTENSIONS, is_raw, of_arrays
-from eldata.records import FrameRecord
+from eldata.records import FrameRecord, RawFrame, RawHeader, Role
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from eldata.plots.axes import Drawing
     from eldata.raw.stated import StatedFile
-    from eldata.records import RawFrame, RawHeader, Role
 
 _ROLES: tuple[Role, ...] = ("bias", "flat")
 _FOLDER = "calibration"

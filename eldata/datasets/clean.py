@@ -18,7 +18,7 @@ from eldata.manifest.own import clean_raws
 from eldata.manifest.patterns import expand, sequence_of
 from eldata.noise.model import check_normalised
 from eldata.raw._kernels import scatter_bayer
-from eldata.raw.levels import LEVELS, Levels, check_in_dn, packing_sites, unpack
+from eldata.raw.levels import LEVELS, CfaRows, Levels, check_in_dn, packing_sites, unpack
 from eldata.raw.stated import StatedFile
 from eldata.sources.frames import Files, Frame, FrameSource, KeptFrames, Pixels
 from eldata.sources.store.read import SUFFIXES, Store
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.raw.levels import CfaRows
     from eldata.records import FrameRecord
 
 _BAYER: CfaRows = ((0, 1), (3, 2))

@@ -8,14 +8,14 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from eldata.datasets.base import facts_of
-from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, DrawnItem, Part
+from eldata.datasets.crops import Crop, Region
+from eldata.datasets.items import CroppedItems, Crops, DrawnItem, Part, Transform
 from eldata.errors import ArgumentError, DatasetError
-from eldata.manifest.clips import choose_clips, clips_of, windows
+from eldata.manifest.clips import Clip, ClipRecord, FrameRange, choose_clips, clips_of, windows
 from eldata.manifest.layouts import describe_layout
 from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand
-from eldata.sources.pairs import PairOpener
+from eldata.sources.pairs import OpenedPair, PairOpener
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -25,17 +25,13 @@ if TYPE_CHECKING:
     import numpy as np
     import pandas as pd
 
-    from eldata.datasets.crops import Region
-    from eldata.datasets.items import Crops, Transform
     from eldata.manifest.card import Subset
-    from eldata.manifest.clips import Clip, ClipRecord, FrameRange
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
     from eldata.raw.levels import Clip as Clipping
     from eldata.raw.levels import FrameLevels
     from eldata.records import FrameRecord
     from eldata.sources.frames import Frame, FrameSource
-    from eldata.sources.pairs import OpenedPair
 
 
 class ClipWindows(CroppedItems):

@@ -12,13 +12,12 @@ import numpy as np
 from eldata.base.compiled import scratch
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.levels import PackedArea, cfa_from, pack_normalised, packed_area, packed_shape, packing_sites, with_rows
-from eldata.sources.frames import RGB_WHITE
+from eldata.sources.frames import RGB_WHITE, Frame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.raw.levels import CfaRows, Clip
-    from eldata.sources.frames import Frame
 
 
 # --- flips and transposes of mosaics that keep the CFA in order -------------------------------------------------------

@@ -31,7 +31,7 @@ from eldata.errors import ArgumentError, EldataError, check_choice
 from eldata.manifest.pairs import Choice
 from eldata.noise.dark_shading import DarkShading
 from eldata.protocols.protocol import Amplification
-from eldata.raw.levels import CLIP_RANGES, FRAME_LEVELS
+from eldata.raw.levels import CLIP_RANGES, FRAME_LEVELS, Clip, FrameLevels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
     from eldata.plots.axes import Drawing
     from eldata.plots.pictures import Panel
-    from eldata.raw.levels import Clip, FrameLevels
     from eldata.records import Sensor
     from eldata.sources.frames import Frame
 

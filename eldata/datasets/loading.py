@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader, IterableDataset, Sampler
+from torch.utils.data import DataLoader, Dataset, IterableDataset, Sampler
 
 from eldata.base.numbers import available_cpus, checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
-    from torch.utils.data import Dataset
 
 # Keep these random numbers apart from each other and from the items', (seed, epoch, index).
 _ORDER, _WORKERS = 1, 2

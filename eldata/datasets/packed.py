@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from eldata.base.fields import no_search_for_cycles
 from eldata.datasets.base import SourcePairs
 from eldata.datasets.clips import ClipWindows
-from eldata.datasets.items import CroppedItems, SharedDraws, keywords_of, take_choice
+from eldata.datasets.items import CroppedItems, Crops, DrawnItem, SharedDraws, Transform, keywords_of, take_choice
 from eldata.errors import ArgumentError, DatasetError
 from eldata.sources.store.read import Store
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from eldata.datasets.crops import Region
-    from eldata.datasets.items import Crops, DrawnItem, Transform
     from eldata.manifest.clips import FrameRange
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clips import ClipWindows
-from eldata.datasets.items import keywords_of, take_choice
+from eldata.datasets.items import Crops, Transform, keywords_of, take_choice
 from eldata.errors import ArgumentError, DatasetError, ManifestError, check_choice, did_you_mean
 from eldata.manifest.catalogue import (
     FrameFiles,
@@ -23,12 +23,12 @@ from eldata.manifest.catalogue import (
     registered_place,
     shipped_manifest,
 )
-from eldata.manifest.clips import moment_name
-from eldata.manifest.layouts import DYNAMIC, scan_raw
+from eldata.manifest.clips import FrameRange, moment_name
+from eldata.manifest.layouts import DYNAMIC, Scan, scan_raw
 from eldata.manifest.pairs import as_values
 from eldata.manifest.patterns import is_pattern
-from eldata.raw.levels import CAMERA_LEVELS_DN
-from eldata.sources.frames import Files, no_folder
+from eldata.raw.levels import CAMERA_LEVELS_DN, Clip, FrameLevels
+from eldata.sources.frames import FileCheck, Files, no_folder
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -36,15 +36,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.datasets.crops import Region
-    from eldata.datasets.items import Crops, Transform
     from eldata.manifest.catalogue import Manifest
-    from eldata.manifest.clips import FrameRange
-    from eldata.manifest.layouts import Scan
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
-    from eldata.raw.levels import Clip, FrameLevels
     from eldata.records import FrameRecord, PairRecord
-    from eldata.sources.frames import FileCheck
 
 
 class ELDDataset(PairDataset):

@@ -6,7 +6,7 @@ sensors of both files. Raw2Raw + ISP needs no stage: train on the pairs themselv
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +18,6 @@ from eldata.isp.rendering import PAPER_GAMMA, Rendering, truncate_to_8_bits
 from eldata.sources.frames import FrameSource
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import torch
 
     from eldata.isp.rendering import Response

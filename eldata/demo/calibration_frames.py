@@ -20,7 +20,7 @@ from eldata.demo.body import Body, FixedFeatures, KnownNoise
 from eldata.demo.camera import CAMERAS
 from eldata.demo.tree import demo_card, write_shot
 from eldata.errors import ArgumentError
-from eldata.manifest.catalogue import save_manifest
+from eldata.manifest.catalogue import Manifest, save_manifest
 from eldata.manifest.table import number_text
 from eldata.records import FrameRecord, Sensor
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from eldata.manifest.catalogue import Manifest
 
 NAME: Final = "calibration-demo"
 _FOLDER: Final = "calibration"

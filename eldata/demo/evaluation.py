@@ -16,7 +16,7 @@ from eldata.base.numbers import checked_whole, counted
 from eldata.baselines.classical import BASELINES
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.calibration.joint import fit_log_log
-from eldata.demo.camera import CAMERAS
+from eldata.demo.camera import CAMERAS, SimulatedCamera
 from eldata.demo.scenes import scene_title
 from eldata.demo.tree import make_tree, prepare_folder, verify_own
 from eldata.errors import EldataError
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.demo.camera import SimulatedCamera
     from eldata.evaluation.results import EvaluationResult
 
 INPUT = "amplified"

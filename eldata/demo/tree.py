@@ -11,15 +11,15 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata.base.files import remove_leftovers, write_text
-from eldata.demo.camera import BASE_ISO, CAMERAS
+from eldata.demo.camera import BASE_ISO, CAMERAS, SimulatedCamera
 from eldata.demo.scenes import scene_radiance
 from eldata.errors import EldataError
 from eldata.manifest.card import CameraCard, Card, counts_of
-from eldata.manifest.catalogue import save_manifest
+from eldata.manifest.catalogue import Manifest, save_manifest
 from eldata.manifest.layouts import EldCamera, eld_records
 from eldata.manifest.verify import verify
 from eldata.raw.dng import write_dng
-from eldata.records import Exposure
+from eldata.records import Exposure, FrameRecord, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.demo.camera import SimulatedCamera
-    from eldata.manifest.catalogue import Manifest
-    from eldata.records import FrameRecord, Sensor
 
 # What the simulated photographer metered: seconds at ISO 100. 3.2 s in every second scene, as in the real set.
 METERED_S = (Fraction(4), Fraction(16, 5))

@@ -37,7 +37,7 @@ from eldata.base import console
 from eldata.base.fields import named_object
 from eldata.base.files import atomic_write
 from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
-from eldata.datasets import CleanClips, CleanFrames, DarkFrames, Noise2Noise
+from eldata.datasets import CleanClips, CleanFrames, CleanSource, DarkFrames, Noise2Noise
 from eldata.datasets.loading import describe, evaluation_loader, training_loader
 from eldata.datasets.rgb import raw2rgb, rgb2rgb
 from eldata.errors import ArgumentError
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from eldata.baselines.training import EpochReport
-    from eldata.datasets import CleanSource
     from eldata.raw.levels import Clip
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError
-from eldata.metrics.image_score import factor_by, score_by
+from eldata.metrics.image_score import Score, factor_by, score_by
 from eldata.metrics.registry import IMAGES
 from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
     import torch
 
-    from eldata.metrics.image_score import Score
     from eldata.protocols import Protocol
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from eldata.base.files import inside, sha256_of, write_problem
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ManifestError
-from eldata.manifest.card import counts_of
+from eldata.manifest.card import CameraCard, counts_of
 from eldata.manifest.catalogue import (
     FrameFiles,
     Manifest,
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
     from pathlib import Path
 
-    from eldata.manifest.card import CameraCard
     from eldata.records import FrameRecord
 
 

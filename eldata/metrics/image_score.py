@@ -13,14 +13,13 @@ from eldata.errors import ArgumentError, check_choice
 from eldata.metrics._images import check_data_range, check_pair, check_tensors, check_threads, host_array, total, totals
 from eldata.metrics._kernels import products, squared_error
 from eldata.metrics.registry import Covariance, PredictionClamp, Rescaling, Rounding, SsimWindow
-from eldata.metrics.similarity import AS_IT_IS, check_windowing, error_and_ssim, treated, window_side
+from eldata.metrics.similarity import AS_IT_IS, Treatment, check_windowing, error_and_ssim, treated, window_side
 
 if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
     from eldata.metrics._images import Array, Band, Image, Pair
-    from eldata.metrics.similarity import Treatment
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,14 +21,13 @@ from eldata.base.arrays import is_tensor
 from eldata.base.compiled import in_threads, kernel
 from eldata.base.numbers import counted
 from eldata.errors import ArgumentError
-from eldata.metrics._images import check_data_range, check_threads, host_array
+from eldata.metrics._images import Array, Image, check_data_range, check_threads, host_array
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import torch
 
-    from eldata.metrics._images import Array, Image
 
 Clip: TypeAlias = "Array | torch.Tensor"
 Plane: TypeAlias = npt.NDArray[np.float64]

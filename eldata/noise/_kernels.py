@@ -42,14 +42,13 @@ from eldata.noise._random_kernels import (
     words,
 )
 from eldata.noise.components import COMPONENTS, packed_rows
-from eldata.noise.parameters import NoiseDraw, NoiseParameters
+from eldata.noise.parameters import Adc, NoiseDraw, NoiseParameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.noise.parameters import Adc
 
 BITS = {name: 1 << place for place, name in enumerate(COMPONENTS)}
 """The components, as the kernel takes their sum."""

@@ -26,18 +26,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.arrays import read_array
+from eldata.base.arrays import Declared, read_array
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import atomic_write, json_text
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, DatasetError, ShadingError
-from eldata.raw.levels import packed_channels
+from eldata.raw.levels import CfaRows, packed_channels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.base.arrays import Declared
-    from eldata.raw.levels import CfaRows
 
 _SCHEMA, _SCHEMA_WITH_MODEL = 1, 2
 _FIELDS = ("slope_dn", "offset_dn")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from eldata.noise.components import mosaic_rows, packed_rows
-from eldata.noise.parameters import key_from
+from eldata.noise.parameters import Adc, NoiseDraw, key_from
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from eldata.noise.parameters import Adc, NoiseDraw
 
 # Uniforms are float64 multiples of 2^-53 from 0 on: half a step keeps them off 0; the largest must not round to 1.
 _HALF_STEP = 2.0**-54

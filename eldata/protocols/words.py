@@ -6,12 +6,10 @@ from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 from eldata.metrics.registry import IMAGES
-from eldata.protocols.protocol import NEUTRAL, SCORED, canonical
+from eldata.protocols.protocol import NEUTRAL, SCORED, Protocol, canonical
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
-
-    from eldata.protocols.protocol import Protocol
 
 
 LEVELS = {

@@ -19,7 +19,7 @@ from eldata.raw.colour import neutral_of
 from eldata.raw.damage import mosaic_fault
 from eldata.raw.levels import packed_black_level_dn
 from eldata.raw.tiff import RATIONAL, SRATIONAL, round_fraction
-from eldata.records import exact_fraction
+from eldata.records import Exposure, Sensor, exact_fraction
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.records import Exposure, Sensor
 
 Compression = Literal["none", "lossless-jpeg"]
 Entry = tuple[int, str, "bytes | tuple[int, ...]"]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from eldata.base.files import folder_problem, sha256_of, visible_below
-from eldata.base.workers import Workers
+from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import DatasetError
 from eldata.raw.stated import ARRAY_EXTENSIONS
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from datetime import datetime
     from fractions import Fraction
 
-    from eldata.base.workers import AnyWorkers
 
 # Lower case, with the dot.
 RAW_EXTENSIONS = frozenset((

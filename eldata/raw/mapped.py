@@ -26,8 +26,8 @@ from eldata.base.compiled import in_threads
 from eldata.errors import RawFileError
 from eldata.raw import tiff
 from eldata.raw._kernels import unpack_bits
-from eldata.raw.container import version_of
-from eldata.raw.tiff import Directory
+from eldata.raw.container import RawContainer, StoredRows, version_of
+from eldata.raw.tiff import Directory, Order
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.raw.container import RawContainer, StoredRows
-    from eldata.raw.tiff import Order
 
 _WHOLE_BITS = 16
 _OF_DAMAGE = (tiff.PHOTOMETRIC, tiff.COMPRESSION, tiff.HEIGHT, tiff.WIDTH, tiff.ACTIVE_AREA)

@@ -76,10 +76,10 @@ from eldata.raw import tiff
 from eldata.raw.colour import neutral_of_white
 from eldata.raw.container import NEEDED, check_container, make_cfa_error, read_container, refuse_unsupported
 from eldata.raw.damage import border_remarks, check_damage, check_samples
-from eldata.raw.levels import cfa_from, cfa_of_letters, packing_sites
+from eldata.raw.levels import CfaRows, cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.mapped import Layout, answer_by_tags, form_of, form_of_tags, verdicts
 from eldata.raw.stated import StatedFile
-from eldata.records import D65, RawFrame, Sensor, exact_number
+from eldata.records import D65, Matrix3, RawFrame, RawHeader, Sensor, exact_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -88,9 +88,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.raw.container import RawContainer
-    from eldata.raw.levels import CfaRows
     from eldata.raw.tiff import Directory
-    from eldata.records import Matrix3, RawHeader
 
 Decoder = Literal["mapped", "libraw"]
 DECODER_VARIABLE = "ELDATA_DECODER"

@@ -33,7 +33,7 @@ from eldata.raw.levels import (
     packed_black_level_dn,
     with_levels,
 )
-from eldata.records import Exposure
+from eldata.records import Exposure, FrameRecord, PairRecord, RawFrame, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from eldata.raw.levels import CfaRows, Clip
     from eldata.raw.mapped import Layout
     from eldata.raw.stated import StatedFile
-    from eldata.records import FrameRecord, PairRecord, RawFrame, Sensor
 
 RGB_WHITE = 65535.0
 KEPT_BYTES = 512 * 10**6

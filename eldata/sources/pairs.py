@@ -4,28 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from eldata.base.arrays import read_array
+from eldata.base.arrays import Declared, read_array
 from eldata.errors import ArgumentError, DatasetError, FileError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.raw.levels import packed_area, packed_shape, unpack
-from eldata.records import Exposure
-from eldata.sources.frames import Files, Frame
+from eldata.records import Exposure, FrameRecord, PairRecord
+from eldata.sources.frames import Files, Frame, FrameSource
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from typing import TypeAlias
 
-    from eldata.base.arrays import Declared
     from eldata.manifest.clips import ClipRecord
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification, Levels
-    from eldata.records import FrameRecord, PairRecord
-    from eldata.sources.frames import FrameSource
 
     Record: TypeAlias = PairRecord | ClipRecord | FrameRecord
 

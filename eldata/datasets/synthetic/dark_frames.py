@@ -15,10 +15,10 @@ import numpy as np
 from eldata.datasets.batches import Field, new_arrays
 from eldata.datasets.calibration_frames import CalibrationFrames, choose_camera
 from eldata.datasets.clean import CleanFrames
-from eldata.datasets.crops import Crop
+from eldata.datasets.crops import Crop, Region
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise.dark_shading import DarkShading
-from eldata.raw.levels import pack, packed_black_level_dn, packed_shape, packing_sites
+from eldata.raw.levels import Levels, pack, packed_black_level_dn, packed_shape, packing_sites
 from eldata.sources.store.read import SUFFIXES, Store
 from eldata.sources.store.write import calibration_place
 
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.datasets.crops import Region
-    from eldata.raw.levels import Levels
     from eldata.sources.frames import Frame
 
 Place = Literal["same", "free"]

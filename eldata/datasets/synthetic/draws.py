@@ -20,12 +20,11 @@ from eldata.base.numbers import checked_number
 from eldata.base.seeds import purpose_sequence
 from eldata.errors import ArgumentError
 from eldata.noise.parameters import NoiseDraw
-from eldata.noise.profile import CameraProfile
+from eldata.noise.profile import CameraProfile, RowChoice
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.noise.profile import RowChoice
 
 Camera: TypeAlias = CameraProfile | str | Path
 Cameras: TypeAlias = Camera | Sequence[Camera]

@@ -18,13 +18,13 @@ from eldata.base.visible import name_of
 from eldata.datasets.base import SIDES
 from eldata.datasets.batches import threads_here
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, DrawnItem, Part, keywords_of
+from eldata.datasets.items import CroppedItems, Crops, DrawnItem, Part, Transform, keywords_of
 from eldata.datasets.synthetic.dark_frames import GAIN_SPREAD, DarkFrames
-from eldata.datasets.synthetic.draws import NoiseChoice, Turns, fewest_members
+from eldata.datasets.synthetic.draws import Cameras, Isos, NoiseChoice, Turns, fewest_members
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise._kernels import prepare
-from eldata.noise.model import NoiseModel, check_noise_maker, made_exposure
-from eldata.raw.levels import CLIP_RANGES
+from eldata.noise.model import NoiseMaker, NoiseModel, check_noise_maker, made_exposure
+from eldata.raw.levels import CLIP_RANGES, Clip
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -32,12 +32,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.datasets.clean import CleanSource, ClipSource
-    from eldata.datasets.items import Crops, Transform
-    from eldata.datasets.synthetic.draws import Cameras, Isos
-    from eldata.noise.model import NoiseMaker
     from eldata.noise.parameters import NoiseDraw
     from eldata.noise.profile import RowChoice
-    from eldata.raw.levels import Clip
     from eldata.records import Sensor
     from eldata.sources.frames import Frame
 

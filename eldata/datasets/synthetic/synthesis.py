@@ -39,10 +39,10 @@ from eldata.datasets.synthetic.draws import Turns
 from eldata.datasets.synthetic.pairs import check_scale, draw_dark
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
-from eldata.manifest.catalogue import save_manifest
+from eldata.manifest.catalogue import Manifest, save_manifest
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
-from eldata.noise.parameters import NoiseDraw
+from eldata.noise.parameters import NoiseDraw, NoiseParameters
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import (
     cfa_from,
@@ -60,8 +60,6 @@ from eldata.sources.frames import Frame
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from eldata.manifest.catalogue import Manifest
-    from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile, RowChoice
 
 Format = Literal["dng", "npy"]

@@ -36,9 +36,9 @@ from eldata.base.compiled import scratch
 from eldata.base.fields import TextFile, no_search_for_cycles
 from eldata.base.files import file_problem
 from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, check_choice
-from eldata.manifest.catalogue import load_manifest
+from eldata.manifest.catalogue import Manifest, load_manifest
 from eldata.protocols.named import default_protocol
-from eldata.records import ExactFloat, Exposure, FrameRecord, Records, Sensor, exact_number
+from eldata.records import ExactFloat, Exposure, FrameRecord, PairRecord, Records, Role, Sensor, exact_number
 from eldata.sources.frames import Frame, Pixels, part_shape
 
 if TYPE_CHECKING:
@@ -46,10 +46,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.manifest.catalogue import Manifest
     from eldata.manifest.pairs import Choice
     from eldata.raw.levels import FrameLevels
-    from eldata.records import PairRecord, Role
 
 FORMAT = "eldata-store"
 VERSION = 4

@@ -23,7 +23,7 @@ from eldata.base.arrays import read_rgb16
 from eldata.base.files import atomic_write, inside
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import ArgumentError, DatasetError, EldataError
-from eldata.manifest.card import card_text
+from eldata.manifest.card import Card, card_text
 from eldata.manifest.catalogue import FrameFiles, Manifest, find_manifest, known_manifest, load_manifest
 from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.layouts import scan_raw
@@ -31,9 +31,9 @@ from eldata.manifest.own import clean_raws
 from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand, is_pattern, is_png
 from eldata.manifest.table import table_text
-from eldata.manifest.verify_report import DatasetReport, Problem, VerifyReport
+from eldata.manifest.verify_report import DatasetReport, Level, Problem, VerifyReport
 from eldata.raw.files import raws_below
-from eldata.records import Exposure, Sensor
+from eldata.records import Exposure, FrameRecord, Role, Sensor
 from eldata.sources.frames import RGB_WHITE
 from eldata.sources.store.read import (
     FORMAT,
@@ -55,9 +55,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.manifest.card import Card
-    from eldata.manifest.verify_report import Level
-    from eldata.records import FrameRecord, Role
     from eldata.sources.store.read import Compression
 
 # --- which files --------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from eldata.manifest.catalogue import Manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord, Sensor
-from tests.trees import write_each_once
+from tests.trees import place_of, write_each_once
 
 # Sixteen bits, as the published code has it, but another white level than its 65535: a test sees which was taken.
 SENSOR = Sensor("Maker", "Drone", ((0, 1), (3, 2)), (4095.0, 4096.0, 4098.0, 4096.0), 65000.0, 40, 48)
@@ -28,9 +28,7 @@ def mosaic_of(record: FrameRecord) -> NDArray[np.uint16]:
 def write_frames(folder: Path, records: Iterable[FrameRecord]) -> None:
     """Write frames below the dataset's folder, each with pixels of its own."""
     for record in records:
-        path = folder / record.path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_dng(path, mosaic_of(record), SENSOR, Exposure(record.iso, record.exposure_s))
+        write_dng(place_of(record, folder), mosaic_of(record), SENSOR, Exposure(record.iso, record.exposure_s))
 
 
 def build_lrd_tree(manifest: Manifest, folder: Path) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from eldata.manifest.catalogue import Manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord, Sensor
-from tests.trees import write_each_once
+from tests.trees import place_of, write_each_once
 
 # Ten bits, as the published code has it, but other levels than its 64 and 1023: a test sees which were taken.
 SENSOR = Sensor("Maker", "Phone", ((0, 1), (3, 2)), (63.0, 64.0, 66.0, 64.0), 1020.0, 40, 48)
@@ -35,8 +35,7 @@ def mosaic_of(record: FrameRecord, sensor: Sensor = SENSOR) -> NDArray[np.uint16
 def write_frames(folder: Path, records: Iterable[FrameRecord], sensor: Sensor = SENSOR) -> None:
     """Write frames below the dataset's folder, each with pixels of its own; of a pattern, six dark frames."""
     for record in records:
-        path = folder / record.path
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path = place_of(record, folder)
         if record.role == "reference":  # fused from several frames: fractions of a DN
             np.save(path, mosaic_of(record, sensor).astype(np.float32) + np.float32(0.25))
         elif record.role == "bias":

@@ -16,7 +16,7 @@ from eldata.manifest.catalogue import Manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord, Sensor
 from tests.raw.helpers import xtrans_at
-from tests.trees import Tree, list_scenes, write_each_once
+from tests.trees import Tree, list_scenes, place_of, write_each_once
 
 NAMES = ("sid-sony", "sid-fuji")
 
@@ -46,9 +46,7 @@ def exposure_of(record: FrameRecord) -> Exposure:
 
 def write_frame(name: str, folder: Path, record: FrameRecord) -> None:
     """Write one frame of a half of SID below the dataset's folder."""
-    path = folder / record.path
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_dng(path, mosaic_of(name, record), SENSORS[name], exposure_of(record))
+    write_dng(place_of(record, folder), mosaic_of(name, record), SENSORS[name], exposure_of(record))
 
 
 def write_frames(name: str, folder: Path, records: Iterable[FrameRecord]) -> None:

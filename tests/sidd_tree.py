@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from eldata.manifest.catalogue import Manifest
 from eldata.records import FrameRecord
+from tests.trees import place_of
 
 SHAPE = (40, 48)
 
@@ -39,9 +40,7 @@ def save_matlab_73(path: Path, mosaic: NDArray[Any]) -> None:
 def write_frames(folder: Path, records: Iterable[FrameRecord]) -> None:
     """Write frames below the dataset's folder, each with pixels of its own."""
     for record in records:
-        path = folder / record.path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_matlab_73(path, shares_of(record))
+        save_matlab_73(place_of(record, folder), shares_of(record))
 
 
 def write_corrected(folder: Path, records: Iterable[FrameRecord]) -> None:
@@ -71,7 +70,6 @@ def build_blocks_tree(manifest: Manifest, folder: Path) -> None:
     made = cache(blocks_of)
     for record in manifest.records:
         array = record.path.split("/")[1]
-        path = folder / record.path
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path = place_of(record, folder)
         image, block = map(int, path.stem.split("_"))
         np.save(path, made(array)[image, block])

@@ -114,6 +114,13 @@ def flip_compressed_byte(path: Path) -> None:
 # --- a published set's file names, with small files inside ------------------------------------------------------
 
 
+def place_of(record: FrameRecord, folder: Path) -> Path:
+    """Where a file of a dataset lies, in a folder that is there."""
+    path = folder / record.path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
 def write_each_once(
     folder: Path, records: Iterable[FrameRecord], kind: Callable[[FrameRecord], object],
     write: Callable[[FrameRecord], object],
@@ -121,8 +128,7 @@ def write_each_once(
     """Write files; those of one kind are one under several names (hard links), which saves time and says nothing."""
     made: dict[object, Path] = {}
     for record in records:
-        path = folder / record.path
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path = place_of(record, folder)
         if kind(record) in made:
             os.link(made[kind(record)], path)
         else:

@@ -27,7 +27,6 @@ from tests.raw.helpers import BAYER, EXPOSURE, add_tags, make_sensor, xtrans_at
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import torch
     from numpy.typing import NDArray
 
     from eldata.records import Sensor
@@ -258,15 +257,10 @@ def test_what_is_asked_for_is_refused_before_any_work(
     assert words in capsys.readouterr().err
 
 
-def halved(image: torch.Tensor) -> torch.Tensor:
-    """A network of somebody's."""
-    return image / 2
-
-
 def test_a_network_of_ones_own(tmp_path: Path) -> None:
     source, out = tmp_path / "a.dng", tmp_path / "b.dng"
     photograph(source, sensor_of(), clipped=False)
-    made = denoise_file(source, out, method=f"{__name__}:halved")
+    made = denoise_file(source, out, method="tests.baselines.test_predicting:halved")
     assert (made.noise, made.remarks) == ("known to the network alone", ())
     black = np.take(sensor_of().black_level_dn, np.array(sensor_of().cfa))[0, 0]
     before, after = (read_raw(path).mosaic[::2, ::2][:160].astype(float) - black for path in (source, out))

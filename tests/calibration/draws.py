@@ -8,8 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from eldata.demo.body import KnownNoise
-from eldata.demo.calibration_frames import CalibrationCamera
-from eldata.records import Sensor
 from tests.calibration.simulation import XTRANS, Camera
 
 # Of eldata/noise/profiles/*.json: gains, lambdas and biases of the rows, scales on the fitted lines. (The line of
@@ -73,27 +71,6 @@ def drawn_camera(generator: np.random.Generator) -> Camera:
         hot_share=float(generator.choice([0.0, 1e-4, 1e-3])),
         shading=float(generator.choice([0.0, 1.0, 5.0])),
     )
-
-
-def drawn_bayer(generator: np.random.Generator, isos: Sequence[int]) -> CalibrationCamera:
-    """Draw a Bayer camera: any phase, black and white level; a black level that the loudest noise stays above."""
-    sensor = Sensor(
-        make="eldata",
-        model="Drawn Bayer",
-        cfa=BAYER_PHASES[generator.integers(4)],
-        black_level_dn=tuple(float(level) for level in generator.choice([1023, 2048]) + generator.integers(-1, 2, 4)),
-        white_level_dn=float(generator.choice([15303, 16383])),
-        height=1024,
-        width=1536,
-    )
-    return CalibrationCamera("DrawnBayer", sensor, drawn_noise(generator, isos))
-
-
-def drawn_xtrans(generator: np.random.Generator, isos: Sequence[int]) -> CalibrationCamera:
-    """Draw an X-Trans camera; all its channels have one black level, as LibRaw wants."""
-    black = float(generator.choice([1023, 2048]))
-    sensor = Sensor("eldata", "Drawn X-Trans", XTRANS, (black,) * 3, 16383.0, height=1026, width=1536)
-    return CalibrationCamera("DrawnXTrans", sensor, drawn_noise(generator, isos, channels=3))
 
 
 def _log_uniform(generator: np.random.Generator, low: float, high: float) -> float:

@@ -12,16 +12,10 @@ from numpy.typing import NDArray
 from eldata.demo.body import Body as Specimen
 from eldata.demo.body import FixedFeatures, KnownNoise, temporal_noise_dn
 from eldata.records import Sensor
+from tests.raw.helpers import xtrans_at
 
 BAYER = ((0, 1), (3, 2))
-XTRANS = (
-    (0, 2, 1, 2, 0, 1),
-    (1, 1, 0, 1, 1, 2),
-    (1, 1, 2, 1, 1, 0),
-    (2, 0, 1, 0, 2, 1),
-    (1, 1, 2, 1, 1, 0),
-    (1, 1, 0, 1, 1, 2),
-)
+XTRANS = xtrans_at(0, 0)
 
 
 @dataclass(frozen=True)

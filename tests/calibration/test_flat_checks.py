@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from eldata.calibration.checks import _find_pile
 from eldata.calibration.iso_results import Finding
 from eldata.raw import bayer_cfa
 from tests.calibration.in_memory import calibrated_arrays, measured_arrays
@@ -132,13 +131,6 @@ def test_saturation_below_white(white: int, setting: Setting) -> None:
     assert f"the flats saturate at {white} DN, below the recorded white level: values pile up there" in said.text
     assert not found.off >= -0.03
     assert math.isnan(found.error)
-
-
-@in_one_test("times, found", [(4.0, (1500, 4.0)), (3.0, None)])
-def test_a_pile_is_three_times_what_lies_below(times: float, found: tuple[int, float] | None) -> None:
-    counts = np.where(np.arange(2000) < 1500, 200, 0)
-    counts[1500] = times * 200
-    assert _find_pile(counts, 1800.0) == found
 
 
 def test_flats_without_a_line() -> None:

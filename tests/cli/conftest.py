@@ -73,9 +73,9 @@ def normalised(text: str, **paths: Path) -> str:
     return re.sub(r"[ \t]+$", "", text, flags=re.MULTILINE)
 
 
-def assert_golden(name: str, text: str) -> None:
+def assert_golden(name: str, text: str, folder: Path = GOLDEN) -> None:
     """Compare with a golden file; ELDATA_UPDATE_GOLDEN=1 rewrites it instead."""
-    path = GOLDEN / f"{name}.txt"
+    path = folder / f"{name}.txt"
     if os.environ.get("ELDATA_UPDATE_GOLDEN") == "1":
         path.write_text(text, encoding="utf-8")
     assert path.is_file(), f"{path} is missing: run the tests with ELDATA_UPDATE_GOLDEN=1 and look at what it holds"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from eldata.noise import CameraProfile, DarkShading
+from tests.calibration import conftest
 from tests.calibration.trees import CAMERA, SIZE, FrameTree, make_tree, relative, rewritten
 from tests.cases import in_one_test
 from tests.cli.conftest import Cli
@@ -25,10 +26,7 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
     return make_tree(tmp_path_factory.mktemp("calibrate") / "tree", isos=ISOS, bias_frames=4, flat_levels=2)
 
 
-@pytest.fixture
-def tree(pristine: FrameTree, tmp_path: Path) -> FrameTree:
-    """A copy that a test may change."""
-    return pristine.copy(tmp_path / "tree")
+tree = conftest.tree
 
 
 # --- all well -------------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import pytest
 from eldata.noise.profile import CameraProfile, shipped_profiles
 from tests.cli.conftest import Cli
 from tests.cli.test_usage import assert_one_line
+from tests.noise.test_virtual import ROWS, published
 from tests.shared import there
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -36,22 +37,11 @@ def test_list(eldata: Cli) -> None:
 
 
 def test_import(eldata: Cli) -> None:
-    rows = CameraProfile.load("NikonD850").rows
-    fit = {"slope": 0.5, "bias": -0.25, "sigma": 0.125}
-    lines = {"G_scale": fit, "g_scale": fit, "R_scale": fit}
-    data = {
-        "Kmin": 0.125,
-        "Kmax": 8.0,
-        "G_shape": [row.tukey_lambda for row in rows],
-        "color_bias": [list(row.colour_bias_dn) for row in rows],
-        "Profile-1": lines,
-    }
-    Path("NikonD850_params.json").write_text(json.dumps(data), encoding="utf-8")
+    Path("NikonD850_params.json").write_text(json.dumps(published()), encoding="utf-8")
     outcome = eldata("profile", "import", "NikonD850_params.json", "-o", "nikon.json")
     assert (outcome.code, outcome.err) == (0, "")
-    assert outcome.out.splitlines()[0] == f"NikonD850: {len(rows)} rows, Profile-1"
-    data["Profile-2"] = lines | {"G_scale": fit | {"slope": 0.75}}
-    Path("both.json").write_text(json.dumps(data), encoding="utf-8")
+    assert outcome.out.splitlines()[0] == f"NikonD850: {ROWS} rows, Profile-1"
+    Path("both.json").write_text(json.dumps(published(2)), encoding="utf-8")
     importing = ("profile", "import", "both.json", "-o", "two.json")
     words = "both.json holds 2 calibrations; choose one with --calibration: Profile-1, Profile-2"
     assert_one_line(eldata(*importing), words)
@@ -59,4 +49,4 @@ def test_import(eldata: Cli) -> None:
     assert not Path("two.json").exists()
     assert eldata(*importing, "--calibration", "Profile-2", "--camera", "Mine").code == 0
     second = CameraProfile.load("two.json")
-    assert (second.camera, there(second.gain_modes[0].tukey_lambda_fit).slope) == ("Mine", 0.75)
+    assert (second.camera, there(second.gain_modes[0].tukey_lambda_fit).slope) == ("Mine", 2.0)

@@ -5,7 +5,7 @@ import json
 import re
 import shlex
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,6 +18,7 @@ from tests.cases import in_one_test
 from tests.cli.conftest import Cli, Outcome
 from tests.evaluation.helpers import Tree
 from tests.raw.damaging import PAGE, Whole
+from tests.without_posix import commands
 
 
 def assert_one_line(outcome: Outcome, *words: str) -> None:
@@ -120,23 +121,14 @@ def test_wrong_usage_is_one_line(arguments: str, words: str, eldata: Cli) -> Non
     assert not any(Path.cwd().iterdir())
 
 
-def leaves(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-    """The parsers of a program's commands, without those that only hold others."""
-    groups = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    for group in groups:
-        for command in group.choices.values():
-            yield from leaves(command)
-    if not groups:
-        yield parser
-
-
 @pytest.mark.parametrize("program", [eldata_parser, capture_parser])
 def test_every_help_explains_each_option_and_ends_with_an_example_that_parses(
     program: Callable[[], argparse.ArgumentParser],
 ) -> None:
-    whole = program()
-    for parser in (whole, *leaves(whole)):
+    for words, parser in commands(program()):
         options = [action for action in parser._actions if not isinstance(action, argparse._SubParsersAction)]
+        if words and options != parser._actions:
+            continue  # it only holds others
         assert all(option.help for option in options), parser.prog
         outputs = parser.get_default("outputs") or {}
         for option in options:

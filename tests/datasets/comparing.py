@@ -31,11 +31,11 @@ def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
             assert value == other or (value != value and other != other), key  # or both NaN
 
 
-def same_bits(tensor: torch.Tensor, expected: NDArray[np.float32]) -> None:
+def same_bits(found: NDArray[np.float32] | torch.Tensor, expected: NDArray[np.float32]) -> None:
     """Both are float32, of one shape, and equal to the bit, the sign of a zero included."""
-    assert tensor.dtype == torch.float32
-    assert expected.dtype == np.float32
-    np.testing.assert_array_equal(tensor.numpy().view(np.uint32), expected.view(np.uint32), strict=True)
+    found = np.asarray(found)
+    assert found.dtype == expected.dtype == np.float32
+    np.testing.assert_array_equal(found.view(np.uint32), expected.view(np.uint32), strict=True)
 
 
 def same_frames(first: CleanSource, second: CleanSource) -> None:

@@ -16,6 +16,7 @@ from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.table import load_records
 from eldata.records import FrameRecord
+from tests.calibration import conftest
 from tests.calibration.trees import CAMERA, FrameTree, make_tree, named
 
 if TYPE_CHECKING:
@@ -32,10 +33,7 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
     return make_tree(folder, isos=ISOS, bias_frames=3, flat_levels=2, size=SIZE)
 
 
-@pytest.fixture
-def tree(pristine: FrameTree, tmp_path: Path) -> FrameTree:
-    """A copy of one's own."""
-    return pristine.copy(tmp_path / "tree")
+tree = conftest.tree
 
 
 # --- finding --------------------------------------------------------------------------------------------------------

@@ -11,10 +11,10 @@ import torch
 
 from eldata import DRVDataset, SyntheticClips, SyntheticPairs
 from eldata.datasets import Arrays, CleanClips, training_loader
-from eldata.datasets.crops import ORIENTATIONS, Orientation, copy_turned, turn_levels, turn_mosaic
+from eldata.datasets.crops import ORIENTATIONS, Orientation, copy_turned, turn_mosaic
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest import shipped_manifest
-from eldata.raw.levels import XTRANS_CFA, pack, pack_normalised, packed_area, packed_black_level_dn
+from eldata.raw.levels import XTRANS_CFA, pack_normalised, packed_area
 from tests.cases import in_one_test
 from tests.datasets.mosaics import Mosaics
 from tests.drv_tree import RGB_SIZE
@@ -68,17 +68,6 @@ def test_the_cfa_stays_and_the_pixels_are_the_turned_ones(cfa: Cfa, orientation:
             rest = of_pixel[turned[other_top:, other_left:]]
             whole = colours(cfa, 5 * period, 5 * period)[: rest.shape[0], : rest.shape[1]]
             assert not np.array_equal(rest, whole)
-
-
-@EACH
-@in_one_test("cfa", ALL_CFAS.values())
-def test_levels_go_with_their_pixels(cfa: Cfa, orientation: Orientation) -> None:
-    """Of a mosaic whose pixels have their channel's level as their value."""
-    levels = (500.0, 520.0, 505.0, 560.0)[: int(np.max(cfa)) + 1]
-    mosaic = np.tile(np.array(levels, np.uint16)[np.array(cfa)], (4, 4))
-    packed = pack(turn_mosaic(mosaic, cfa, orientation), cfa)
-    expected = packed_black_level_dn(cfa, turn_levels(levels, orientation))
-    np.testing.assert_array_equal(packed, np.broadcast_to(expected[:, None, None], packed.shape))
 
 
 @EACH

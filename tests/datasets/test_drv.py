@@ -21,6 +21,7 @@ from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
 from eldata.records import PairRecord
 from eldata.sources.frames import Files
+from tests.datasets.comparing import pack_plainly, same_bits
 from tests.datasets.conftest import CLIPS
 from tests.drv_tree import (
     NOISY,
@@ -28,7 +29,6 @@ from tests.drv_tree import (
     RGB_SIZE,
     SENSOR,
     SmallDrv,
-    mosaic_of,
     rgb_frame_of,
     still_of,
     write_png,
@@ -118,26 +118,16 @@ def test_damage_is_named(drv: SmallDrv, tmp_path: Path) -> None:
 # --- raw --------------------------------------------------------------------------------------------------------------
 
 
-def packed(mosaic: NDArray[np.uint16], gain: float, clip: str = "both") -> NDArray[np.float64]:
-    """Black per channel and white of the file, both clips as published."""
-    planes = mosaic[0::2, 0::2], mosaic[0::2, 1::2], mosaic[1::2, 1::2], mosaic[1::2, 0::2]
-    black = np.array(SENSOR.black_level_dn)[:, None, None]
-    low = 0.0 if clip == "both" else -np.inf
-    values = np.clip((np.stack(planes) - black) / (SENSOR.white_level_dn - black), low, 1)
-    amplified: NDArray[np.float64] = np.clip(values * gain, low, 1)
-    return amplified
-
-
 @pytest.mark.parametrize("clip", ["both", "upper"])
 def test_raw_items_are_packed_and_amplified_exactly(clip: str, raw: Path) -> None:
     dataset = DRVDataset(raw, form="raw", split="test", window=3, clip=clip)  # type: ignore[arg-type]
     assert len(dataset) == 4
     sample = dataset[1]
-    expected = [packed(mosaic_of(f"DSC{number:05d}.ARW0007", NOISY), 100.0, clip) for number in (1001, 1002, 1003)]
-    np.testing.assert_allclose(sample["input"].numpy(), np.stack(expected), rtol=0, atol=2e-6 * 100)
-    np.testing.assert_allclose(
-        sample["target"].numpy(), packed(mosaic_of("DSC00001.ARW0007", REFERENCE), 1.0), rtol=0, atol=2e-6
-    )
+    paths = [raw / f"short/0007/DSC0{number}.ARW" for number in (1001, 1002, 1003)]
+    noisy, low = np.stack([pack_plainly(path, SENSOR.white_level_dn) for path in paths]), 0 if clip == "both" else -9e9
+    same_bits(sample["input"], np.clip(np.clip(noisy, low, 1) * np.float32(100), low, 1))
+    target = pack_plainly(raw / "long/0007/DSC00001.ARW", SENSOR.white_level_dn)
+    same_bits(sample["target"], np.clip(target, 0, 1))
     assert (sample["ratio"], sample["iso"], sample["exposure_s"]) == (100.0, 6400.0, 0.02)
     assert (sample["path"], sample["start"]) == ("short/0007/DSC01001.ARW", 3)
     assert (sample["input"].min() < 0) == (clip == "upper")

@@ -18,9 +18,10 @@ from eldata.errors import ArgumentError
 from eldata.manifest.card import save_card
 from eldata.raw import read_raw
 from eldata.sources.frames import Frame, FrameSource
+from tests.cases import in_one_test
 from tests.datasets.comparing import same
 from tests.evaluation.test_way_of_a_score import modules_called
-from tests.raw.helpers import BAYER
+from tests.raw.helpers import SOME_CFAS, Cfa, levels_of
 from tests.sid_tree import build_small_tree
 from tests.sources.store.helpers import pack_tree
 
@@ -78,9 +79,10 @@ def test_one_item_passes_few_modules(pristine: Tree, store: Path) -> None:
         assert len(passed) <= most, sorted(passed)
 
 
-def test_turned_crops_are_normalised_by_their_own_greens_levels() -> None:
+@in_one_test("cfa", SOME_CFAS.values())
+def test_turned_crops_are_normalised_by_their_own_greens_levels(cfa: Cfa) -> None:
     """Greens of unequal black levels; every pixel lies a quarter of its own range above its own."""
-    cfa, black = BAYER["GBRG"], np.array([500.0, 520.0, 504.0, 560.0])
+    black = np.array([500.0, 520.0, 504.0, 560.0])[: levels_of(cfa)]
     mosaic = np.tile((black + (16000 - black) / 4)[np.array(cfa)], (24, 24)).astype(np.float32)
     frame = Frame(mosaic, cfa, tuple(black), 16000.0, "")
     for seed in range(40):

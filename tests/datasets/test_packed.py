@@ -44,9 +44,6 @@ from tests.trees import BETA, Tree
 if TYPE_CHECKING:
     from pathlib import Path
 
-# --- pairs ------------------------------------------------------------------------------------------------------------
-
-
 # --- the raw route ------------------------------------------------------------------------------------------------
 
 
@@ -307,8 +304,6 @@ def test_clean_clips_are_those_of_the_raw_files(tmp_path: Path) -> None:
         made = [SyntheticClips(clips, "SonyA7S2", frames=2, crop=8, seed=2)[1] for clips in (ours, theirs)]
         same(*(dict(sample) | {"path": "", "reference": ""} for sample in made))
     assert "2 clips" in repr(ours)
-    with pytest.raises(ArgumentError, match="levels must be one of"):
-        CleanClips(store, levels="x")  # type: ignore[arg-type]
     (folder / "a" / "10.dng").unlink()
     gap = pack_folder(folder, tmp_path / "gap.h5").store
     with pytest.raises(DatasetError, match="expected the frames of one clip, numbered without a gap"):

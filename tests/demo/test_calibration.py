@@ -18,14 +18,16 @@ from eldata.base.workers import Workers
 from eldata.cli.main import main
 from eldata.demo.body import Body, FixedFeatures
 from eldata.demo.calibration import compare_with_truth, run_calibration_demo
-from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
+from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, CalibrationCamera, make_calibration_frames
 from eldata.errors import ArgumentError
 from eldata.manifest import verify
 from eldata.manifest.catalogue import load_manifest
 from eldata.noise import CameraProfile
 from eldata.raw.reading import read_raw
+from eldata.records import Sensor
 from tests.baselines.travelling import Travelling
-from tests.calibration import draws
+from tests.calibration.draws import drawn_noise
+from tests.calibration.simulation import XTRANS
 from tests.cases import in_one_test
 from tests.shared import there
 
@@ -34,7 +36,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.calibration import Calibration
-    from eldata.demo.calibration_frames import CalibrationCamera
     from eldata.manifest.catalogue import Manifest
 
 ISOS = (100, 400, 1600)
@@ -255,9 +256,13 @@ def test_the_truth_is_complete(truth: dict[str, Any]) -> None:
 # --- other cameras ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("draw", [draws.drawn_bayer, draws.drawn_xtrans])
-def test_drawn_cameras(draw: Any, tmp_path: Path) -> None:
-    camera: CalibrationCamera = draw(np.random.default_rng(3), (200, 3200))
+@pytest.mark.parametrize(
+    ("cfa", "black", "white"),
+    [(((3, 2), (0, 1)), (1022.0, 1023.0, 1024.0, 1022.0), 15303.0), (XTRANS, (2048.0,) * 3, 16383.0)],
+)
+def test_drawn_cameras(cfa: Any, black: tuple[float, ...], white: float, tmp_path: Path) -> None:
+    sensor = Sensor("eldata", "Drawn", cfa, black, white, 1026, 1536)
+    camera = CalibrationCamera("Drawn", sensor, drawn_noise(np.random.default_rng(3), (200, 3200), len(black)))
     options = {**FEW, "isos": (200, 3200), "bias_frames": 1, "size": (66, 96)}
     manifest = make_calibration_frames(tmp_path, camera=camera, **options)
     truth = json.loads((tmp_path / "truth.json").read_text())

@@ -75,10 +75,6 @@ def reference(path: Path) -> Floats:
     return np.clip((pack(frame.mosaic, frame.pattern) - black) / (WHITE_DN - black), 0, 1)
 
 
-def frame_number(path: Path) -> int:
-    return int(path.stem.removeprefix("IMG_"))
-
-
 def iso_and_seconds(path: Path) -> tuple[Fraction, Fraction]:
     with path.open("rb") as file:
         tags = exifread.process_file(file, details=False)
@@ -90,7 +86,7 @@ def pairs(folder: Path) -> list[Pair]:
     """The pairs of factors 100 and 200, from the file names and the EXIF alone."""
     found = []
     for path in sorted(folder.glob("*/scene-*/IMG_*.dng")):
-        number = frame_number(path)
+        number = int(path.stem.removeprefix("IMG_"))
         if number in REFERENCE_NUMBERS:
             continue
         nearest = int(REFERENCE_NUMBERS[np.argmin(np.abs(number - REFERENCE_NUMBERS))])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import shutil
 import tracemalloc
 from collections import Counter
@@ -173,15 +172,6 @@ def test_what_evaluate_wrote_is_read_back(tree: Tree, predictions: Path, tmp_pat
     assert saved.as_dict() == result.as_dict()
     assert (saved.dataset, saved.protocol.name, saved.digest) == ("eld-demo", "eld", result.protocol.digest)
     assert saved.scores[0].place == ("DemoAlpha", "scene-1")
-
-
-def test_infinite_and_unknown_scores() -> None:
-    data = result_data()
-    data["images"][0]["psnr_db"] = "inf"
-    data["images"][1]["psnr_db"] = None
-    saved = saved_result(data, "test")
-    assert saved.scores[0].psnr_db == math.inf
-    assert math.isnan(saved.scores[1].psnr_db)
 
 
 # --- what cannot be used ------------------------------------------------------------------------------------------

@@ -30,6 +30,7 @@ from tests.evaluation.helpers import assert_equal, scored_pairs
 from tests.evaluation.own_set import MATRIX, WHITE_BALANCE, build_own_set, mosaic_of, sensor_of
 from tests.evaluation.published_code import Route, Score
 from tests.raw.helpers import BAYER, CFAS, Cfa, indices_of, is_xtrans, levels_of, reference_pack, xtrans_at
+from tests.trees import place_of
 
 # --- trees: published names, sensors that change from scene to scene --------------------------------------------------
 
@@ -151,10 +152,8 @@ def build(
             levels = zip(one.black_level_dn, drift_dn, strict=True)
             one = replace(one, black_level_dn=tuple(level + drift for level, drift in levels))
         pixels[record.path] = pixels_of(record, one, dark=number == dark)
-        path = files / record.path
-        path.parent.mkdir(parents=True, exist_ok=True)
         exposure = exposure_of(record, record_of[record.reference or record.path])
-        write_dng(path, pixels[record.path], one, exposure)
+        write_dng(place_of(record, files), pixels[record.path], one, exposure)
     kept = [replace(subset, pairs=sum(map(subset.holds, noisy))) for subset in manifest.card.subsets]
     counts: dict[str, int] = {"noisy": len(noisy), "reference": len(records) - len(noisy)}
     save_records(csv, records)

@@ -27,7 +27,6 @@ from eldata.manifest.catalogue import save_manifest
 from eldata.manifest.layouts import scan_raw
 from eldata.metrics import PEAK_ELD, st_rred
 from eldata.raw.levels import unpack
-from eldata.raw.reading import read_header
 from eldata.records import FrameRecord
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, still_of, write_raw_clip
 from tests.evaluation import published_code
@@ -250,7 +249,7 @@ def test_sequences_are_scored_as_film(film: Path, monkeypatch: pytest.MonkeyPatc
 
     def amplified(scene: str) -> NDArray[np.float32]:
         frames = zip(records[scene].frames, records[scene].references, strict=True)
-        ratios = [(frame, exposure(folder / reference) / exposure(folder / frame)) for frame, reference in frames]
+        ratios = [(one, published_code.ratio_by_exif(folder / one, folder / reference)) for one, reference in frames]
         return np.stack([np.clip(decoded(frame) * np.float32(ratio), 0, 1) for frame, ratio in ratios])
 
     check_against_the_published_code(
@@ -258,13 +257,6 @@ def test_sequences_are_scored_as_film(film: Path, monkeypatch: pytest.MonkeyPatc
     )
     by_factor = {f: np.mean([v.values["st_rred"] for v in result.scores if f"-x{f}" in v.scene]) for f in (1, 100)}
     assert by_factor[1] < by_factor[100]
-
-
-def exposure(path: Path) -> Fraction:
-    found = read_header(path).exposure
-    assert found.iso is not None
-    assert found.exposure_s is not None
-    return found.iso * found.exposure_s
 
 
 def test_predictions_of_photographs_are_those_of_the_film(film: Path, tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ from scipy.interpolate import interp1d
 
 from eldata.errors import ArgumentError, FileError
 from eldata.isp.response import ResponseCurve, read_response_table
-from tests.isp.curves import GRID, family
 
+GRID = np.linspace(0, 1, 1024)
+CURVES = [GRID ** (1 / 2.2), np.log1p(30 * GRID) / np.log1p(30), GRID**0.9 * (3 - 2 * GRID**0.9) * GRID**0.9]
 UNEVEN = np.array([0.0, 0.1, 0.15, 0.6, 1.0])
 THREE = ResponseCurve(
     np.broadcast_to(UNEVEN, (3, 5)),
@@ -35,7 +36,7 @@ def test_interpolation_is_that_of_scipy(leading: tuple[int, ...]) -> None:
 
 
 def test_one_curve_serves_any_shape() -> None:
-    curve = family()[3]
+    curve = ResponseCurve(GRID, CURVES[0])
     values = torch.linspace(0, 1, 777, dtype=torch.float64)
     np.testing.assert_allclose(curve(values), np.interp(values, GRID, curve.brightness[0]), atol=1e-14)
     np.testing.assert_allclose(curve(image()), np.interp(image(), GRID, curve.brightness[0]), atol=1e-14)
@@ -116,7 +117,7 @@ def test_a_table_that_is_none_is_refused(text: str, words: str, tmp_path: Path) 
 @pytest.mark.parametrize("colours", [1, 3])
 def test_a_table_of_four_columns(colours: int, tmp_path: Path) -> None:
     """As numpy writes it, to the last bit; of two columns too."""
-    brightness = np.array([curve.brightness[0] for curve in family()[2 : 2 + colours]])
+    brightness = np.array(CURVES[:colours])
     np.savetxt(
         tmp_path / "curve.txt", np.column_stack([GRID, *brightness]), fmt="%.17g", header="irradiance brightness"
     )

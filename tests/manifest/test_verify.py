@@ -25,6 +25,7 @@ from eldata.manifest.table import save_records
 from eldata.manifest.verify import check_files, verify
 from eldata.manifest.verify_report import Level, Problem, VerifyReport
 from eldata.records import Exposure
+from tests.cli.conftest import assert_golden
 from tests.trees import ALPHA, BETA, Tree, flip_compressed_byte, frame, retake, scale_exposure, swap
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -385,7 +386,4 @@ def test_the_text_of_a_report(tree: Tree, name: str, level: Level) -> None:
     if name == "damaged":
         damage(tree)
     text = check(tree, level).format_text().replace(str(tree.root), "ROOT") + "\n"
-    golden = GOLDEN / f"{name}.txt"
-    if os.environ.get("ELDATA_UPDATE_GOLDEN") == "1":
-        golden.write_text(text, encoding="utf-8")
-    assert text == golden.read_text(encoding="utf-8")
+    assert_golden(name, text, GOLDEN)

@@ -15,11 +15,12 @@ from eldata.errors import ArgumentError
 from eldata.noise import Adc, NoiseDraw, NoiseModel, NoiseParameters
 from eldata.noise.model import made_exposure, pack_whole, unpack_whole
 from tests.cases import in_one_test
+from tests.datasets.comparing import same_bits
 from tests.noise.helpers import PARAMETERS, RANGE_DN, RATIO, compiled_dn
 from tests.raw.helpers import CFAS, levels_of
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    pass
 
 FULL = "P*+G*+B+R+U"
 FLAT = np.full((4, 6, 8), 0.25, dtype=np.float32)
@@ -34,11 +35,6 @@ def noisy(clean: Any, spec: str = FULL, *, seed: int = 0, model: NoiseModel | No
         "generator": np.random.default_rng(seed),
     }
     return (model or NoiseModel(spec))(clean, **arguments | options)
-
-
-def same_bits(first: NDArray[np.float32], second: NDArray[np.float32]) -> None:
-    assert first.dtype == second.dtype == np.float32
-    np.testing.assert_array_equal(first.view(np.uint32), second.view(np.uint32))
 
 
 # --- the converter --------------------------------------------------------------------------------------------------

@@ -19,15 +19,7 @@ from eldata.raw.damage import data_fault, long_run, mosaic_fault, picture_area
 from eldata.raw.tiff import Directory, read_directories
 from tests.cases import in_one_test
 from tests.raw.damaging import LOSSES, PAGE, Whole
-from tests.raw.helpers import (
-    DNG_KINDS,
-    EXPOSURE,
-    check_refused,
-    levels_of,
-    make_sensor,
-    random_mosaic,
-    write_plain_dng,
-)
+from tests.raw.helpers import DNG_KINDS, EXPOSURE, check_refused, levels_of, make_sensor, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -88,14 +88,6 @@ def test_a_fraction_comes_back_from_its_number(fraction: Fraction) -> None:
     assert exact_fraction(number) == fraction
 
 
-@pytest.mark.parametrize(
-    ("number", "fraction"), [(2.1, Fraction(21, 10)), (512.0, Fraction(512)), (1e-7, "1/10000000")]
-)
-def test_a_plain_float_stands_for_the_decimal_that_it_prints_as(number: float, fraction: Any) -> None:
-    assert exact_fraction(number) == Fraction(fraction)
-    assert type(exact_number(Fraction(fraction))) is float
-
-
 # --- rounding to what a field can hold ----------------------------------------------------------------------
 
 

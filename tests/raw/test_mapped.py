@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 from dataclasses import fields, replace
+from functools import partial
 from importlib.metadata import version
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -38,6 +39,7 @@ from tests.raw.helpers import (
     write_plain_dng,
 )
 from tests.raw.test_strips import move_blocks
+from tests.raw.test_strips import written as written_in
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
 HEIGHT, WIDTH = 131, 67
 DEPTHS = [(8, ">"), (10, "<"), (12, "<"), (14, "<"), (16, "<"), (16, ">")]
 FORMS: list[dict[str, Any]] = [{}, {"rowsperstrip": 13}, {"tile": (32, 48)}]
+written = partial(written_in, size=(HEIGHT, WIDTH))
 PARTS = (slice(0, 1), slice(0, 1)), (slice(13, 71), slice(31, 66)), (slice(100, None), slice(-7, None))
 
 
@@ -58,17 +61,6 @@ def nothing_is_confirmed(monkeypatch: pytest.MonkeyPatch) -> dict[tuple[Any, ...
     for module in (mapped, reading):
         monkeypatch.setattr(module, "verdicts", verdicts)
     return verdicts
-
-
-def written(
-    path: Path, *tags: Any, bits: int = 16, byteorder: str = "<", seed: int = 0, **options: Any
-) -> NDArray[Any]:
-    mosaic: NDArray[Any] = random_mosaic(HEIGHT, WIDTH, low=1, high=1 << bits, seed=seed)
-    mosaic = mosaic.astype(np.uint8) if bits == 8 else mosaic
-    if bits % 8:
-        options["bitspersample"] = bits
-    write_plain_dng(path, mosaic, ("RG", "GB"), *tags, white=(1 << bits) - 1, byteorder=byteorder, **options)
-    return mosaic
 
 
 def pack_bits(mosaic: NDArray[Any], bits: int) -> NDArray[np.uint8]:

@@ -27,12 +27,14 @@ COLOUR = (
 )
 
 
-def written(path: Path, bits: int = 16, byteorder: str = "<", **options: Any) -> NDArray[np.uint16]:
-    mosaic: NDArray[Any] = random_mosaic(HEIGHT, WIDTH, low=1, high=1 << bits)
+def written(
+    path: Path, *tags: Any, bits: int = 16, byteorder: str = "<", size: Any = (HEIGHT, WIDTH), seed: int = 0, **own: Any
+) -> NDArray[Any]:
+    mosaic: NDArray[Any] = random_mosaic(*size, low=1, high=1 << bits, seed=seed)
     mosaic = mosaic.astype(np.uint8) if bits == 8 else mosaic
     if bits % 8:
-        options["bitspersample"] = bits
-    write_plain_dng(path, mosaic, ("RG", "GB"), *COLOUR, white=(1 << bits) - 1, byteorder=byteorder, **options)
+        own["bitspersample"] = bits
+    write_plain_dng(path, mosaic, ("RG", "GB"), *tags, white=(1 << bits) - 1, byteorder=byteorder, **own)
     return mosaic
 
 
@@ -56,8 +58,7 @@ def move_blocks(path: Path, gap: int, order: Sequence[int] | None = None) -> Non
 @pytest.mark.parametrize("options", [{"rowsperstrip": 13}, {"tile": (32, 32)}, {"tile": (64, 80)}], ids=str)
 def test_rows_are_found_wherever_they_stand(bits: int, order: str, options: dict[str, Any], tmp_path: Path) -> None:
     path = tmp_path / "a.dng"
-    mosaic = written(path, bits, order, **options)
-    np.testing.assert_array_equal(read_raw(path).mosaic, mosaic)
+    mosaic = written(path, *COLOUR, bits=bits, byteorder=order, **options)
     rendering = render_libraw(path)
     move_blocks(path, gap=3)
     np.testing.assert_array_equal(read_raw(path).mosaic, mosaic)
@@ -91,7 +92,7 @@ def test_strips_that_do_not_make_up_the_image_are_refused(tmp_path: Path) -> Non
 def test_a_byte_count_that_is_too_small(bits: int, row_bytes: int, stated_rows: int, tail: int, tmp_path: Path) -> None:
     """Whole files of a Raspberry Pi state one; else the rows beyond it are whatever follows, and never read."""
     path, needed, stated = tmp_path / "a.dng", row_bytes * HEIGHT, row_bytes * stated_rows
-    mosaic = written(path, bits)
+    mosaic = written(path, bits=bits)
     with tifffile.TiffFile(path) as tiff:
         entry, start = tiff.pages.first.tags[279].offset, tiff.pages.first.dataoffsets[0]
     content = bytearray(path.read_bytes()) + b"\x11" * max(tail, 0)

@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eldata.base.numbers import natural
 from eldata.cli.main import main
 from eldata.evaluation.comparison import Comparison, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import ScoredImage, images_of, place_of_difference, units_again
 from eldata.evaluation.results import load_result
-from eldata.evaluation.scores import cameras_in_order
 from eldata.evaluation.statistics import holm
 from eldata.reports import pictures
 from eldata.reports.comparison import write_comparison_page
@@ -153,13 +151,6 @@ def test_holm_is_that_of_r() -> None:
     found = holm([0.02, float("nan"), 0.03])
     assert [found[0], found[2]] == pytest.approx([0.04, 0.04])
     assert np.isnan(found[1])
-
-
-def test_cameras_come_as_in_the_paper_and_scene_2_before_10() -> None:
-    names = ["CanonEOS700D", "CanonEOS70D", "NikonD850", "SonyA7S2"]
-    assert cameras_in_order(names, "eld") == ["SonyA7S2", "NikonD850", "CanonEOS70D", "CanonEOS700D"]
-    assert cameras_in_order(["b-10", "b-9", "a", "b-9"], "mine") == ["a", "b-9", "b-10"]
-    assert sorted(["scene-10", "scene-2", "scene-1"], key=natural) == ["scene-1", "scene-2", "scene-10"]
 
 
 def test_the_command_draws_and_says_what_is_in_its_way(

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eldata.plots.pictures import block_means, grey_png
+from eldata.plots.pictures import grey_png
 from eldata.reports.calibration import calibration_page
 from eldata.reports.html import digits, format_measured, prose, typeset
 from tests.calibration.simulation import XTRANS
@@ -238,12 +238,6 @@ def test_grey_spans_black_and_white() -> None:
     assert found[0, 0] == 0
     assert found[0, 1] == pytest.approx(127.5, abs=5)
     assert found[0, 2] == found[0, 3] == 255
-
-
-def test_blocks_are_means() -> None:
-    plane = np.arange(60.0).reshape(6, 10)
-    np.testing.assert_allclose(block_means(plane, 2), plane.reshape(3, 2, 5, 2).mean(axis=(1, 3)))
-    np.testing.assert_array_equal(block_means(plane, 1), plane)
 
 
 # --- in a browser -------------------------------------------------------------------------------------------------

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rawpy
 import torch
+from numpy.typing import NDArray
 
+from eldata.datasets import CleanSource
 from tests.raw.helpers import reference_pack
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.datasets import CleanSource
 
 
 def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from tests.drv_tree import SmallDrv, small_drv
 from tests.shared import made_once
 from tests.sources.store.helpers import pack_tree
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from tests.trees import Tree
+from tests.trees import Tree
 
 CLIPS, FRAMES = ("0007", "0013", "M0003"), 13
 

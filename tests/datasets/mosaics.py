@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
+
+from numpy.typing import NDArray
 
 from eldata.sources.frames import Frame
-from tests.raw.helpers import levels_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from tests.raw.helpers import Cfa
+from tests.raw.helpers import Cfa, levels_of
 
 
 class Mosaics:

@@ -6,9 +6,10 @@ import copy
 import gc
 import os
 import pickle
+from collections.abc import Sequence
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +19,6 @@ from torch.utils.data import DataLoader, Dataset, default_collate
 from eldata.datasets import batches
 from eldata.datasets.batches import Field, new_batch
 from tests.datasets.comparing import same
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from fractions import Fraction
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,9 +18,6 @@ from eldata.manifest.table import load_records
 from eldata.records import FrameRecord
 from tests.calibration import conftest
 from tests.calibration.trees import CAMERA, FrameTree, make_tree, named
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 ISOS = (100, 1600)
 SIZE = (64, 96)  # these tests measure nothing

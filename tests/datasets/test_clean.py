@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +18,6 @@ from eldata.raw.levels import CLIP_RANGES, normalise, pack, unpack
 from eldata.sources.store import build_store, source_of_folder
 from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 CFAS = [BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"]]
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import torch
 
 from eldata.datasets import DRVDataset, PackedStore, PairDataset
 from eldata.errors import DatasetError, EldataError
+from eldata.noise import DarkShading
 from eldata.raw import read_raw
 from eldata.records import Exposure
 from eldata.sources.frames import Frame
@@ -20,11 +22,6 @@ from tests.planted_shading import plant, shading_of
 from tests.sid_tree import build_small_tree
 from tests.sources.store.helpers import pack_tree
 from tests.trees import BETA, Tree
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from eldata.noise import DarkShading
 
 
 def planted(tree: Any, camera: str) -> DarkShading:

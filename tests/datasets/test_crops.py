@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 from eldata import DRVDataset, SyntheticClips, SyntheticPairs
 from eldata.datasets import Arrays, CleanClips, training_loader
@@ -17,13 +18,8 @@ from eldata.manifest import shipped_manifest
 from eldata.raw.levels import XTRANS_CFA, pack_normalised, packed_area
 from tests.cases import in_one_test
 from tests.datasets.mosaics import Mosaics
-from tests.drv_tree import RGB_SIZE
+from tests.drv_tree import RGB_SIZE, SmallDrv
 from tests.raw.helpers import BAYER, CFAS, NONA, QUAD, SOME_CFAS, XTRANS, Cfa, layout_of, levels_of, random_mosaic
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from tests.drv_tree import SmallDrv
 
 # --- orientations -----------------------------------------------------------------------------------------------------
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
+from numpy.typing import NDArray
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata import evaluate
@@ -15,17 +17,10 @@ from eldata.datasets import CRVDDataset, PairDataset
 from eldata.errors import ArgumentError, ManifestError
 from eldata.evaluation.score import cut_to_dn
 from eldata.manifest import shipped_manifest, verify
-from eldata.manifest.catalogue import save_manifest
+from eldata.manifest.catalogue import Manifest, save_manifest
 from eldata.protocols import get_protocol
 from eldata.records import Sensor
 from tests.crvd_tree import build_crvd_tree
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.manifest.catalogue import Manifest
 
 SCENES, ISOS = ("scene1", "scene7"), (1600, 25600)
 

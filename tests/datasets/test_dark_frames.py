@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import pickle
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 from eldata.calibration import BiasStack, ShadingFit, fixed_pattern
 from eldata.datasets import Arrays, CleanClips, DarkFrames, SyntheticClips, SyntheticPairs
@@ -24,12 +27,6 @@ from eldata.records import Exposure
 from eldata.sources.store import build_store, source_of_folder
 from tests.datasets.mosaics import Mosaics
 from tests.raw.helpers import BAYER, EXPOSURE, NONA, QUAD, XTRANS, Cfa, make_sensor, random_mosaic
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 SIDE = 72
 RANGE = 15871.0 - 511.5  # of make_sensor's Bayer cameras

@@ -6,7 +6,8 @@ import copy
 import itertools
 import os
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,12 +33,8 @@ from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
 from tests.datasets.mosaics import Mosaics
 from tests.raw.helpers import BAYER, random_mosaic
+from tests.trees import Tree
 from tests.waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.trees import Tree
 
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")

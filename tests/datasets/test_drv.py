@@ -8,12 +8,13 @@ import shutil
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import psutil
 import pytest
 import torch
+from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 
 from eldata.datasets.base import SourcePairs
@@ -35,9 +36,6 @@ from tests.drv_tree import (
     write_raw,
     write_raw_clip,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 HEIGHT, WIDTH = RGB_SIZE
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from eldata.datasets.items import Sample
 from eldata.errors import ArgumentError
 from eldata.manifest.card import save_card
 from eldata.raw import read_raw
+from eldata.records import FrameRecord
 from eldata.sources.frames import Frame, FrameSource
 from tests.cases import in_one_test
 from tests.datasets.comparing import same
@@ -24,12 +26,7 @@ from tests.evaluation.test_way_of_a_score import modules_called
 from tests.raw.helpers import SOME_CFAS, Cfa, levels_of
 from tests.sid_tree import build_small_tree
 from tests.sources.store.helpers import pack_tree
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from eldata.records import FrameRecord
-    from tests.trees import Tree
+from tests.trees import Tree
 
 
 class Memory:

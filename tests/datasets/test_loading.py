@@ -5,7 +5,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -27,12 +29,7 @@ from eldata.datasets.loading import (
     training_loader,
 )
 from eldata.errors import ArgumentError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from tests.trees import Tree
+from tests.trees import Tree
 
 
 def pairs(store: Path, **options: Any) -> PackedStore:

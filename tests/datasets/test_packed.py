@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,9 +41,6 @@ from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosai
 from tests.sid_tree import SmallTree, build_small_tree
 from tests.sources.store.helpers import pack_folder, pack_tree, write_clean
 from tests.trees import BETA, Tree
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 # --- the raw route ------------------------------------------------------------------------------------------------
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
+from numpy.typing import NDArray
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata import evaluate
@@ -14,7 +17,7 @@ from eldata.datasets import LLRVDDataset, PackedStore, PairDataset, PMRIDDataset
 from eldata.errors import DatasetError, ManifestError, RawFileError
 from eldata.evaluation import save_prediction
 from eldata.evaluation.predictions import stem_of
-from eldata.manifest.catalogue import load_manifest, shipped_manifest
+from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
 from eldata.manifest.lock import lock
 from eldata.manifest.patterns import expand
 from eldata.manifest.verify import verify
@@ -22,14 +25,6 @@ from eldata.raw.stated import MosaicFacts, StatedFile
 from eldata.records import FrameRecord
 from eldata.sources.store import build_store, source_of_dataset
 from tests.pattern_trees import FRAMES, RATIOS, build_llrvd_tree, build_pmrid_tree, build_recrvd_tree
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.manifest.catalogue import Manifest
 
 psnr_of: Any = peak_signal_noise_ratio  # scikit-image has annotations in part only
 ssim_of: Any = structural_similarity

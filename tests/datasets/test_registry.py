@@ -8,9 +8,11 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import fields
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -30,10 +32,6 @@ from tests.sid_tree import build_sid_tree
 from tests.sidd_tree import build_blocks_tree, build_sidd_tree
 from tests.trees import build_published_tree
 from tests.waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 # How each dataset's files are faked: every published name, small content.
 TREES: dict[str, Callable[[Manifest, Path], None]] = {

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,16 +19,12 @@ from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import Gamma, Rendering, render_pair_for_scoring
 from eldata.raw import read_raw, write_dng
+from eldata.records import Sensor
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
 from tests.raw.helpers import make_sensor
 from tests.sources.store.helpers import pack_folder
 from tests.trees import Tree, copy_tree
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from eldata.records import Sensor
 
 CAMERA = "DemoAlpha"
 NOISY_BALANCE = (1.3, 1.0, 2.6, 1.0)

@@ -5,22 +5,20 @@ from __future__ import annotations
 import shutil
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
 from eldata import SIDDataset
+from eldata.datasets.items import Sample
 from eldata.errors import ArgumentError
 from eldata.manifest.catalogue import shipped_manifest
+from eldata.records import PairRecord
 from tests.cases import in_one_test
 from tests.datasets.comparing import pack_plainly, same_bits
 from tests.sid_tree import SENSORS, frames_of, write_frames
 from tests.trees import scale_exposure
-
-if TYPE_CHECKING:
-    from eldata.datasets.items import Sample
-    from eldata.records import PairRecord
 
 CAMERAS = ("sony", "fuji")
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import inspect
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
 from eldata import datasets
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 NEEDED = inspect.Parameter.empty
 CHOICE: dict[str, Any] = dict.fromkeys(("cameras", "scenes", "isos", "ratios", "split", "subset"))

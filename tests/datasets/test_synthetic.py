@@ -5,16 +5,19 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from torch.utils.data import DataLoader, default_collate
 
 from eldata.datasets.base import SourcePairs
 from eldata.datasets.clean import Arrays, CleanFrames
-from eldata.datasets.items import CroppedItems
+from eldata.datasets.items import CroppedItems, Sample
 from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError
@@ -25,14 +28,6 @@ from tests.cases import in_one_test
 from tests.datasets.comparing import same
 from tests.datasets.mosaics import Mosaics
 from tests.raw.helpers import BAYER, CFAS, EXPOSURE, NONA, colours_of, layout_of, make_sensor, random_mosaic, start_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.datasets.items import Sample
 
 NUMBERS = ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
 

@@ -5,23 +5,26 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from fractions import Fraction
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import eldata.demo.calibration
 from eldata.base.workers import Workers
+from eldata.calibration import Calibration
 from eldata.cli.main import main
 from eldata.demo.body import Body, FixedFeatures
 from eldata.demo.calibration import compare_with_truth, run_calibration_demo
 from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, CalibrationCamera, make_calibration_frames
 from eldata.errors import ArgumentError
 from eldata.manifest import verify
-from eldata.manifest.catalogue import load_manifest
+from eldata.manifest.catalogue import Manifest, load_manifest
 from eldata.noise import CameraProfile
 from eldata.raw.reading import read_raw
 from eldata.records import Sensor
@@ -30,13 +33,6 @@ from tests.calibration.draws import drawn_noise
 from tests.calibration.simulation import XTRANS
 from tests.cases import in_one_test
 from tests.shared import there
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from eldata.calibration import Calibration
-    from eldata.manifest.catalogue import Manifest
 
 ISOS = (100, 400, 1600)
 SMALL = partial(make_calibration_frames, isos=ISOS, bias_frames=6, flat_levels=4, size=(256, 384))

@@ -4,7 +4,6 @@ import json
 import shlex
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -15,11 +14,9 @@ from eldata.cli.main import main, parser
 from eldata.demo.evaluation import run_demo
 from eldata.demo.tree import make_clean, make_tree
 from eldata.errors import EldataError
+from eldata.evaluation import EvaluationResult
 from eldata.examples import train_on_demo
 from eldata.examples.train_denoiser import parser as training_parser
-
-if TYPE_CHECKING:
-    from eldata.evaluation import EvaluationResult
 
 SIZE = (64, 96)
 

@@ -1,20 +1,16 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from eldata.demo import scenes
 from eldata.demo.tree import make_tree
+from eldata.manifest.catalogue import Manifest
 from eldata.raw.reading import read_raw
 from tests.cases import in_one_test
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from eldata.manifest.catalogue import Manifest
 
 SIZE = (64, 96)
 

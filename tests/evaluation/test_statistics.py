@@ -130,6 +130,15 @@ def test_scenes_of_unequal_size_are_left_out_one_by_one() -> None:
     assert (found.low, found.high) == pytest.approx((np.mean(values) - half, np.mean(values) + half), rel=1e-12)
 
 
+def test_p_value_is_scipys_where_each_scene_has_one_image() -> None:
+    """Exact: both go through all 2^9 choices of signs."""
+    differences = np.random.default_rng(10).normal(0.3, 0.5, 9)
+    theirs = scipy.stats.permutation_test(
+        (differences,), np.sum, permutation_type="samples", n_resamples=1000, alternative="two-sided"
+    )
+    assert sign_flip_p_value(differences, range(9)) == pytest.approx(float(theirs.pvalue), abs=1e-12)
+
+
 def test_p_value_written_plainly_with_unequal_scenes() -> None:
     differences, scenes = [1.0, 2.0, -0.5, 0.25, -3.0, 0.75, 1.5], ["a", "a", "b", "c", "d", "d", "e"]
     sums = [3.0, -0.5, 0.25, -2.25, 1.5]

@@ -8,19 +8,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from scipy import stats
 
 from eldata.noise import Adc, NoiseDraw, NoiseModel, NoiseParameters, parse_components
 from eldata.noise.components import expose
 from eldata.noise.on_device import expose_on_device
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 RANGE_DN = 15871.0
 RATIO = 130.0

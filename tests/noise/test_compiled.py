@@ -9,13 +9,15 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from unittest.mock import Mock
 
 import numba
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import stats
 
 from eldata.base.compiled import kernel
@@ -23,11 +25,6 @@ from eldata.datasets import Arrays, SyntheticPairs
 from eldata.noise import NoiseDraw, NoiseParameters, _kernels, _random_kernels, parse_components
 from eldata.noise._kernels import expose_compiled
 from tests.noise.helpers import moments_of_tukey_lambda, poisson_p_value
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 ALPHA = 1e-5
 SIGMAS = float(stats.norm.isf(ALPHA / 2))  # 4.42

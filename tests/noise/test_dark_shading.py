@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from eldata.errors import ArgumentError, ShadingError
 from eldata.noise import DarkShading, ShadingIso
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 CFA = ((1, 0), (2, 3))
 SHAPE = (12, 16)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +18,6 @@ from tests.cases import in_one_test
 from tests.datasets.comparing import same_bits
 from tests.noise.helpers import PARAMETERS, RANGE_DN, RATIO, compiled_dn
 from tests.raw.helpers import CFAS, levels_of
-
-if TYPE_CHECKING:
-    pass
 
 FULL = "P*+G*+B+R+U"
 FLAT = np.full((4, 6, 8), 0.25, dtype=np.float32)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,9 +35,6 @@ from tests.noise.helpers import (
     poisson_p_value,
 )
 from tests.raw.helpers import BAYER, NONA, QUAD, XTRANS_COLOURS, Cfa
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 FULL = "P*+G*+B+R+U"
 

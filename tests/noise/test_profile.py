@@ -7,7 +7,9 @@ import hashlib
 import json
 import math
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,15 +18,9 @@ from scipy import stats
 
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile, NoiseParameters, shipped_profiles
-from eldata.noise.profile import GainMode, LogLogFit, ProfileRow
+from eldata.noise.parameters import Generator
+from eldata.noise.profile import GainMode, LogLogFit, ProfileRow, RowChoice
 from tests.cases import in_one_test
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from eldata.noise.parameters import Generator
-    from eldata.noise.profile import RowChoice
 
 CAMERAS = ("CanonEOS5D4", "CanonEOS700D", "CanonEOS70D", "NikonD850", "NikonD850-2", "SonyA7S2")
 FITS = ("tukey_lambda_fit", "gauss_fit", "row_fit")

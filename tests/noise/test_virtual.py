@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 import math
 import pickle
 import re
@@ -22,6 +23,7 @@ from eldata.noise.profile import LogLogFit
 from eldata.noise.published import profiles_from_published
 from tests.cases import in_one_test
 from tests.noise.test_profile import FITS
+from tests.shared import there
 
 PARTS = ("slope", "intercept", "sigma")
 FIGURES = [name for name in LED_RANGES.named() if not name.startswith(("gain", "colour_bias"))]
@@ -214,6 +216,27 @@ def published(profiles: int = 1) -> dict[str, Any]:
         }
         for n in range(1, profiles + 1)
     }
+
+
+def test_a_shipped_camera_from_its_published_form(tmp_path: Path) -> None:
+    shipped = CameraProfile.load("SonyA7S2")
+
+    lines = [shipped.tukey_lambda_fit, shipped.gauss_fit, shipped.row_fit]
+    data = {
+        "Kmin": shipped.gain_range_dn_per_e[0],
+        "Kmax": shipped.gain_range_dn_per_e[1],
+        "G_shape": [row.tukey_lambda for row in shipped.rows],
+        "color_bias": [row.colour_bias_dn for row in shipped.rows],
+        "Profile-1": {
+            name: {"slope": line.slope, "bias": line.intercept, "sigma": line.sigma}
+            for name, line in zip(SCALES, map(there, lines), strict=True)
+        },
+    }
+    path = tmp_path / "SonyA7S2_params.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    # Its levels are from elsewhere, and the last note says so.
+    published_alone = dataclasses.replace(shipped, black_level_dn=None, white_level_dn=None, notes=shipped.notes[:-1])
+    assert profiles_from_published("SonyA7S2", read_published(path)) == (published_alone,)
 
 
 def test_a_profile_of_each_calibration() -> None:

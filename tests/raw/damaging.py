@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+
+import numpy as np
 
 from eldata.raw.reading import read_raw
 from eldata.raw.tiff import read_directories
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    import numpy as np
-
-    from eldata.records import RawFrame
+from eldata.records import RawFrame
 
 PAGE = 4096
 LOSSES = ("hole of zeros", "hole of one page", "tail of zeros", "tail of zeros, EXIF whole", "hole of 0xFF")

@@ -6,22 +6,19 @@ The formulas are plain strided numpy, written from the published packing and not
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from pathlib import Path
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import pytest
 import tifffile
+from numpy.typing import NDArray
 
 from eldata.errors import RawFileError
 from eldata.raw import read_header, read_raw
 from eldata.records import Exposure, Sensor
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 Cfa = tuple[tuple[int, ...], ...]
 Scalar = TypeVar("Scalar", bound=np.generic)

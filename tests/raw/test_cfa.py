@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from eldata.errors import ArgumentError
 from eldata.raw import normalise, pack, packed_area, unpack
@@ -33,9 +34,6 @@ from tests.raw.helpers import (
     start_of,
     xtrans_at,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 DTYPES = ["uint8", "uint16", "int32", "int64", "float32", "float64", "bool", "complex64"]
 

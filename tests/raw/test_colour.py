@@ -1,9 +1,11 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from skimage.color import rgb2xyz
 from skimage.color.colorconv import xyz_from_rgb
 
@@ -11,18 +13,10 @@ from eldata.errors import ArgumentError
 from eldata.isp import render_libraw
 from eldata.raw import read_raw
 from eldata.raw.colour import SRGB_TO_XYZ, camera_to_srgb
-from tests.raw.helpers import add_tags, random_mosaic, write_plain_dng
+from eldata.records import Matrix3
+from tests.raw.helpers import Tag, add_tags, random_mosaic, write_plain_dng
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.records import Matrix3
-    from tests.raw.helpers import Tag
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 # ColorMatrix (D65) of a Sony A7S II, a Nikon D850 and a Fujifilm X-T2 as LibRaw's table has them.
 CAMERAS: dict[str, tuple[str, Matrix3]] = {

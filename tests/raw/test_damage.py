@@ -6,12 +6,14 @@ How often: with n trials and no miss, the rate of misses is below 3/n with a con
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import imagecodecs
 import numpy as np
 import pytest
 import tifffile
+from numpy.typing import NDArray
 
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import read_raw, write_dng
@@ -20,11 +22,6 @@ from eldata.raw.tiff import Directory, read_directories
 from tests.cases import in_one_test
 from tests.raw.damaging import LOSSES, PAGE, Whole
 from tests.raw.helpers import DNG_KINDS, EXPOSURE, check_refused, levels_of, make_sensor, random_mosaic, write_plain_dng
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 HEIGHT, WIDTH = 192, 252
 BLACK = (512.0, 512.0, 512.0, 512.0)

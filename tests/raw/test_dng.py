@@ -6,24 +6,21 @@ import re
 from dataclasses import replace
 from datetime import datetime
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import exifread
 import numpy as np
 import pytest
 import rawpy
 import tifffile
+from numpy.typing import NDArray
 
 from eldata.errors import ArgumentError
 from eldata.raw import read_header, read_raw, write_dng
 from eldata.records import Exposure, Sensor
 from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, CFAS, EXPOSURE, SOME_CFAS, letters, make_sensor, random_mosaic
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 Compression = Literal["none", "lossless-jpeg"]
 COMPRESSIONS: tuple[Compression, ...] = ("none", "lossless-jpeg")

@@ -8,11 +8,12 @@ from __future__ import annotations
 import struct
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
+from numpy.typing import NDArray
 
 from eldata.isp import render_libraw
 from eldata.raw import read_header, read_raw, write_dng
@@ -23,6 +24,7 @@ from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
     CFAS,
+    Tag,
     active_area,
     add_tags,
     check_refused,
@@ -32,11 +34,6 @@ from tests.raw.helpers import (
     write_plain_dng,
 )
 from tests.raw.test_errors import WRITE
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from tests.raw.helpers import Tag
 
 FIELD = Path(__file__).parent / "field"
 BLACK = (50714, "I", 1, 64, True)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Iterable
 from dataclasses import fields
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,13 +20,7 @@ from eldata.raw import read_raw, write_dng
 from eldata.raw.colour import camera_to_srgb
 from eldata.raw.tiff import RATIONAL, SRATIONAL, round_fraction
 from eldata.records import ExactFloat, Sensor, exact_fraction, exact_number
-from tests.raw.helpers import BAYER, CFAS, EXPOSURE, letters, levels_of, random_mosaic, write_plain_dng
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from tests.raw.helpers import Tag
+from tests.raw.helpers import BAYER, CFAS, EXPOSURE, Tag, letters, levels_of, random_mosaic, write_plain_dng
 
 ONE_FILE = settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

@@ -7,7 +7,7 @@ limit on time, or the machine, would end those tests.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -15,9 +15,6 @@ from eldata.raw import read_raw
 from eldata.raw.tiff import read_directories
 from tests.cases import in_one_test
 from tests.raw.helpers import Tag, add_tags, check_refused, random_mosaic, write_plain_dng
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 Entry = tuple[int, int, int, int]  # tag, kind, count, value or offset
 

@@ -12,13 +12,15 @@ from dataclasses import fields, replace
 from functools import partial
 from importlib.metadata import version
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import imagecodecs
 import numpy as np
 import pytest
 import tifffile
+from numpy.typing import NDArray
 
 from eldata import __version__
 from eldata.errors import ArgumentError, RawFileError
@@ -26,6 +28,7 @@ from eldata.raw import mapped, read_header, read_raw, reading, write_dng
 from eldata.raw.container import read_container
 from eldata.raw.damage import check_samples
 from eldata.raw.reading import raw_facts
+from eldata.raw.tiff import Order
 from eldata.records import RawFrame
 from eldata.sources.frames import Files
 from tests.raw.helpers import (
@@ -40,13 +43,6 @@ from tests.raw.helpers import (
 )
 from tests.raw.test_strips import move_blocks
 from tests.raw.test_strips import written as written_in
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from eldata.raw.tiff import Order
 
 HEIGHT, WIDTH = 131, 67
 DEPTHS = [(8, ">"), (10, "<"), (12, "<"), (14, "<"), (16, "<"), (16, ">")]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from eldata.errors import ArgumentError
 from eldata.raw import normalise, pack, pack_normalised
@@ -14,11 +16,6 @@ from eldata.raw.levels import FRAME_LEVELS, Clip, FrameLevels, packed_frame, wit
 from eldata.records import Exposure, RawFrame
 from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, CFAS, Cfa, indices_of, is_xtrans, make_sensor, random_mosaic, reference_pack
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 CLIPS: tuple[Clip, ...] = ("both", "upper", "none")
 

@@ -6,8 +6,9 @@ import io
 import struct
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,9 +39,6 @@ from tests.raw.helpers import (
     random_mosaic,
     write_plain_dng,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MARGINS = [(0, 0), (2, 4), (1, 0), (0, 1), (1, 3), (5, 2), (3, 3)]
 

@@ -9,7 +9,7 @@ import struct
 from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 import rawpy
@@ -19,11 +19,8 @@ from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
 from eldata.raw.container import lossy_compression, read_container
 from eldata.raw.reading import raw_facts
 from eldata.raw.tiff import TiffReader
-from eldata.records import Exposure
+from eldata.records import Exposure, RawHeader
 from tests.raw.helpers import EXPOSURE, Tag, add_tags, check_refused, make_sensor, random_mosaic, write_plain_dng
-
-if TYPE_CHECKING:
-    from eldata.records import RawHeader
 
 REAL = Path(__file__).parent / "real"
 CR3, DNG = REAL / "canon-eos-r6.cr3", REAL / "gopro-fusion.dng"

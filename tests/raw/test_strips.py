@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import re
 import struct
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
+from numpy.typing import NDArray
 
 from eldata.isp import render_libraw
 from eldata.raw import read_header, read_raw
 from tests.raw.helpers import add_tags, check_refused, random_mosaic, write_plain_dng
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 HEIGHT, WIDTH = 61, 67
 COLOUR = (

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from eldata.raw import write_dng
-from eldata.sources.store import build_store, source_of_dataset, source_of_folder
+from eldata.sources.store import Source, build_store, source_of_dataset, source_of_folder
+from tests.drv_tree import SmallDrv
 from tests.raw.helpers import BAYER, EXPOSURE, NONA, QUAD, XTRANS, make_sensor, random_mosaic
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from eldata.sources.store import Source
-    from tests.drv_tree import SmallDrv
-    from tests.sid_tree import SmallTree
-    from tests.trees import Tree
+from tests.sid_tree import SmallTree
+from tests.trees import Tree
 
 CFAS = (BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"], QUAD["quad-31"], NONA["nona-14"])
 SHAPES = ((300, 400), (131, 515), (60, 66), (150, 133), (133, 270), (61, 75))

@@ -8,9 +8,10 @@ import shutil
 import signal
 import struct
 import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -22,9 +23,6 @@ from eldata.sources.store import Store, build_store, verify_store
 from eldata.sources.store.read import VERSION, StoreError
 from tests.sources.store.helpers import SHAPES, Packed, pack_folder, write_clean
 from tests.waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")

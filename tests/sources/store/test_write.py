@@ -7,9 +7,11 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -25,11 +27,6 @@ from tests.raw.helpers import random_mosaic, write_plain_dng
 from tests.sources.store.helpers import Packed, pack_folder, pack_tree, write_clean
 from tests.syncing import OnDisk
 from tests.trees import Tree, tree_in
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
 
 FRAMES = 7
 SIZE = (301, 270)  # above a chunk, no multiple of one

@@ -24,6 +24,7 @@ WINDOWS: dict[str, Any] = {
 }  # fmt: skip
 DRV: dict[str, Any] = {"root": None, "form": "preprocessed", "dynamic": False, "manifest": None, "reference": "*"}
 DRV["check"] = "exists"
+CRVD: dict[str, Any] = {"root": None, "shots": range(10), "manifest": None, "check": "exists"}
 NOISE: dict[str, Any] = {
     "source": NEEDED, "profiles": NEEDED, "model": None, "clip": "both", "ratio": (100.0, 300.0), "iso": None,
     "range_dn": None, "row": None,
@@ -40,7 +41,8 @@ SIGNATURES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (datasets.PackedStore, CHOICE | VALUES | PACKED | {"path": NEEDED, "crops_per_frame": 1}),
     (datasets.SourcePairs, PAIRED | {"source": NEEDED, "records": NEEDED, "name": "", "levels": "metadata"}),
     (datasets.DRVDataset, WINDOWS | DRV),
-    (datasets.CRVDDataset, WINDOWS | {"root": None, "shots": range(10), "manifest": "crvd", "check": "exists"}),
+    (datasets.PMRIDDataset, PAIRS | {"manifest": "pmrid"}),
+    *((kind, WINDOWS | CRVD) for kind in (datasets.CRVDDataset, datasets.ReCRVDDataset, datasets.LLRVDDataset)),
     (datasets.PackedClips, WINDOWS | PACKED | {"path": NEEDED, "dynamic": False}),
     (datasets.SyntheticPairs, NOISE | {"crops_per_frame": 1}),
     (datasets.SyntheticClips, NOISE | {"frames": 5, "windows_per_clip": 1}),

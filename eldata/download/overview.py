@@ -118,7 +118,8 @@ class Overview:
             noisy = (row for row in (self.manifest.records if self.manifest else ()) if row.role == "noisy")
             counted = "clips" if any(is_pattern(row.path) for row in noisy) else "pairs"
             for subset in card.subsets:
-                lines += wrapped(f"    {subset.name}: {subset.title} ({subset.pairs} {counted})", " " * 8)
+                size = "" if subset.pairs is None else f" ({subset.pairs} {counted})"
+                lines += wrapped(f"    {subset.name}: {subset.title}{size}", " " * 8)
         return "\n".join([*lines, *_list_remarks(card), "", "next", f"    {self.next_step}"])
 
     def _list_files(self) -> list[str]:

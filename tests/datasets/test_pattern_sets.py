@@ -14,6 +14,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata import evaluate
 from eldata.datasets import LLRVDDataset, PackedStore, PairDataset, PMRIDDataset, ReCRVDDataset
+from eldata.download.overview import overview
 from eldata.errors import DatasetError, ManifestError, RawFileError
 from eldata.evaluation import save_prediction
 from eldata.evaluation.predictions import stem_of
@@ -241,6 +242,10 @@ def test_what_is_meant_in_a_file(tmp_path: Path) -> None:
     np.savez(tmp_path / "clip.npz", im=clip, black_level=64, white_level=63)
     with pytest.raises(RawFileError, match="expected one white level above black"):
         StatedFile(tmp_path / "clip.npz", facts, member="im:0").read()
+
+
+def test_what_is_not_known_of_a_subset_is_not_said(tmp_path: Path) -> None:
+    assert "first of each frame's ten noisy shots\n" in overview(shipped_manifest("recrvd"), tmp_path).format_text()
 
 
 def test_stems_of_frames_in_arrays() -> None:

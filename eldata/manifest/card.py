@@ -13,6 +13,7 @@ from eldata.base.files import json_text, path_problem, write_text
 from eldata.base.numbers import counted
 from eldata.base.visible import has_unseen, shown
 from eldata.errors import ArgumentError, ManifestError, did_you_mean
+from eldata.manifest.patterns import has_fields
 from eldata.raw.stated import MOSAIC_CFAS, PLANES, MosaicFacts
 
 if TYPE_CHECKING:
@@ -119,7 +120,9 @@ class Subset:
         return (
             (not self.splits or pair.split in self.splits)
             and (not self.scenes or pair.scene in self.scenes)
-            and (fnmatchcase(pair.path, self.paths) or "{" in pair.path)  # no file of it is there, which is a problem
+            and (
+                fnmatchcase(pair.path, self.paths) or has_fields(pair.path)
+            )  # or nothing of it is there: that has to show
         )
 
     def members(self, rows: Iterable[OfPair]) -> list[OfPair]:

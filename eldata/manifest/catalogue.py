@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from eldata.base.files import atomic_write, encoded, inside, split_member, visible_below
 from eldata.errors import ArgumentError, EldataError, ManifestError, did_you_mean
 from eldata.manifest.card import Card, card_text, counts_of, load_card, save_card
-from eldata.manifest.patterns import expand, is_pattern, matching
+from eldata.manifest.patterns import expand, has_fields, is_pattern, matching
 from eldata.manifest.table import load_table, table_text
 from eldata.raw.stated import MosaicFacts, StatedFile
 from eldata.records import Exposure, FrameRecord
@@ -84,8 +84,9 @@ class FrameFiles:
 
 def mosaic_facts(mosaics: Iterable[MosaicFacts], record: FrameRecord) -> MosaicFacts | None:
     """Return the first facts that a card states for a row's camera and path; ``None``: the file states them."""
+    file = split_member(record.path)[0]
     for facts in mosaics:
-        if fnmatchcase(record.path, facts.paths) and (not facts.cameras or record.camera in facts.cameras):
+        if fnmatchcase(file, facts.paths) and (not facts.cameras or record.camera in facts.cameras):
             return facts
     return None
 
@@ -112,7 +113,7 @@ class Manifest:
         ManifestError
             Like :func:`eldata.manifest.patterns.expand`.
         """
-        if not any("{" in record.path for record in self.records):
+        if not any(has_fields(record.path) for record in self.records):
             return self
         records = expand(self.records, folder)
         return replace(self, records=records, card=replace(self.card, counts=counts_of(records)))
@@ -127,7 +128,8 @@ class Manifest:
 
     def own_folder(self, root: Path | str | None) -> Path:
         """Find the dataset's folder if ``root`` is meant to be it; ``None``: below the data root."""
-        return self.folder() if root is None else self.folder_at(data_root(root), data_root(root))
+        place = None if root is None else Path(root).expanduser()
+        return self.folder() if place is None else self.folder_at(place, place)
 
     def folder_at(self, expected: Path, *places: Path) -> Path:
         """Return the folder that holds the dataset's files: the expected one if it does, or none else does.

@@ -13,7 +13,7 @@ from eldata.base.arrays import read_png_header
 from eldata.base.workers import Failed, Workers
 from eldata.errors import FileError
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
-from eldata.manifest.patterns import FrameSequence, is_pattern, is_png, matching, sequence_of
+from eldata.manifest.patterns import FrameSequence, has_fields, is_pattern, is_png, matching, sequence_of
 from eldata.manifest.table import number_text
 from eldata.manifest.verify_report import FileRemark, Problem, distinct, row_fault
 from eldata.raw.files import RAW_EXTENSIONS
@@ -99,7 +99,7 @@ def pattern_faults(records: Iterable[FrameRecord], folder: Path) -> list[Problem
     for record in records:
         files = matching(folder, record.path) if is_pattern(record.path) else {}
         names = [PurePosixPath(path).name for path in files]
-        if "{" in record.path:
+        if has_fields(record.path):
             clips: dict[tuple[str, ...], list[str]] = defaultdict(list)
             for path, fields in files.items():
                 others = (text for name, text in fields.items() if name != "frame")

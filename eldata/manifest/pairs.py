@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from eldata.base.fields import names_of
 from eldata.errors import ArgumentError, did_you_mean
 from eldata.manifest.card import Subset, find_subset
+from eldata.manifest.patterns import has_fields
 from eldata.records import FrameRecord, PairRecord, from_columns
 
 Item = TypeVar("Item", "PairRecord", "FrameRecord")
@@ -75,9 +76,10 @@ class Choice:
             record
             for record in records
             if record.role == "noisy" and record.reference is not None
-            if record.ratio is not None or "{" in record.path  # of which no file is there: whoever needs it says so
+            if record.ratio is not None or has_fields(record.path)  # no file of it is there: whoever needs it says so
         ]
         values = {name: list(map(attrgetter(name), noisy)) for name in _OF_PAIRS}
+        # What is not there has no ratio, which none reads: it is refused, or left out by name.
         pairs = from_columns(PairRecord, values | {"ratio": [ratio or Fraction(1) for ratio in values["ratio"]]})
         found = None if self.subset is None else find_subset(subsets, self.subset)
         alone = () if found is None else unpaired(records, found)

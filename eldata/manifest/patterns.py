@@ -27,14 +27,19 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 _END = 3
-_FIELD = re.compile(r"\{(\w+)\}")
+_FIELD = re.compile(r"\{([a-z_]+)\}")
 _FILLED = ("camera", "scene", "split", "iso", "exposure_s", "ratio")  # fields of a row that a path may state
 _DIGITS = re.compile(r"([0-9]+)")
 
 
 def is_pattern(path: str) -> bool:
     """Tell whether a row's path is a pattern, which stands for all files that it matches."""
-    return "*" in path or "{" in path
+    return "*" in path or has_fields(path)
+
+
+def has_fields(path: str) -> bool:
+    """Tell whether a row's path is a pattern with fields; in a copy's manifest, that no file of it is there."""
+    return _FIELD.search(path) is not None
 
 
 def as_glob(path: str) -> str:
@@ -85,7 +90,7 @@ def matching(folder: Path, pattern: str) -> dict[str, dict[str, str]]:
 
 
 def _parts_of(file: Path, member: str) -> dict[str, dict[str, str]]:
-    """Return what is meant in an array file, and what a field for the number of a part stands for."""
+    """List the parts of an array file that a row names, each with the number that its field stands for."""
     if (field := _FIELD.search(member)) is None:
         return {member: {}}
     from eldata.base.arrays import declared_array
@@ -105,10 +110,12 @@ def _fill(pattern: str, fields: Mapping[str, str]) -> str:
 @cache
 def _compile(part: str) -> re.Pattern[str]:
     """Compile a part of a pattern to an expression with a group for each field."""
-    texts = re.split(r"(\*|\?|\{\w+\})", part)
+    texts = re.split(r"(\*|\?|\{[a-z_]+\})", part)
     signs = {"*": ".*", "?": "."}
     return re.compile(
-        "".join(f"(?P<{text[1:-1]}>.+?)" if text[:1] == "{" else signs.get(text, re.escape(text)) for text in texts)
+        "".join(
+            f"(?P<{text[1:-1]}>.+?)" if _FIELD.fullmatch(text) else signs.get(text, re.escape(text)) for text in texts
+        )
     )
 
 
@@ -130,7 +137,7 @@ def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, .
     Raises
     ------
     ManifestError
-        If what a field stands for cannot be the row's, such as a ratio that is no number.
+        If a field's text does not fit its column, such as a ratio that is not a number.
     """
     rows = tuple(records)
     files = {row.path: matching(folder, row.path) for row in rows if is_pattern(row.path)}

@@ -266,7 +266,7 @@ def _decode(file: RawContainer, way: Way = "whole") -> tuple[RawFrame, Layout | 
     """Decode a frame and lay out what has rows.
 
     By LibRaw; ``"short"``: but for its pixels, from a copy of few rows; ``"tags"``: so, and of what a DNG states alone.
-    Of a RAF there is no short copy, since LibRaw has its margins by model and whole size: it is decoded.
+    A RAF has no short copy, since LibRaw looks its margins up by model and full size: it is decoded.
     """
     path, main, header, rows = file.path, file.main, file.header, file.rows
     short = way == "short" and main is not None

@@ -287,7 +287,7 @@ class KeptFrames:
         return frame
 
     def _weigh(self, frame: Frame) -> int:
-        """Return what a frame counts."""
+        """Return what a frame counts as: its bytes, or one."""
         return getattr(frame.mosaic, "nbytes", 0) if self.in_bytes else 1
 
     def __reduce__(self) -> tuple[Any, ...]:

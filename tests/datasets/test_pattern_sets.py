@@ -188,6 +188,13 @@ def test_an_array_that_is_cut_off_or_of_another_form_is_named(tmp_path: Path) ->
     assert "packed numbers, (4, h, w) or (h, w, 4)" in report.format_text()
 
 
+def test_a_file_with_braces_in_its_name_is_itself(tmp_path: Path) -> None:
+    for name in ("IMG{1}.npy", "IMG{2}.npy", "{}.npy"):
+        np.save(tmp_path / name, np.zeros((4, 4)))
+    rows = tuple(FrameRecord(name, "noisy", "A") for name in ("IMG{1}.npy", "{}.npy"))
+    assert expand(rows, tmp_path) == rows
+
+
 def test_a_field_that_cannot_be_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a/soon").mkdir(parents=True)
     np.save(tmp_path / "a/soon/x.npy", np.zeros((4, 4)))

@@ -29,7 +29,7 @@ from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.layouts import scan_raw
 from eldata.manifest.own import clean_raws
 from eldata.manifest.pairs import Choice
-from eldata.manifest.patterns import expand, is_pattern, is_png
+from eldata.manifest.patterns import expand, has_fields, is_pattern, is_png
 from eldata.manifest.table import table_text
 from eldata.manifest.verify_report import DatasetReport, Level, Problem, VerifyReport
 from eldata.raw.files import raws_below
@@ -172,7 +172,7 @@ def _require_folder(manifest: Manifest, root: Path | str | None) -> Path:
 def _holds_clips(rows: Sequence[FrameRecord]) -> bool:
     """Tell whether rows are clips: patterns, PNG frames, or noisy frames none of which has a nominal ratio."""
     ratios = [row.ratio for row in rows if row.role == "noisy"]
-    patterns = any(is_pattern(row.path) and "{" not in row.path for row in rows)
+    patterns = any(is_pattern(row.path) and not has_fields(row.path) for row in rows)
     return patterns or any(is_png(row.path) for row in rows) or (bool(ratios) and not any(ratios))
 
 

@@ -73,6 +73,11 @@ def execute(folder: Path, blocks: list[Block], source: Path) -> str:
     return printed
 
 
+def test_the_page_is_short() -> None:
+    """Five hundred words beside the blocks: what takes longer to say is too much work for who brings a set."""
+    assert len(_FENCE.sub("", DOCUMENT.read_text(encoding="utf-8")).split()) <= 500
+
+
 # --- a set of one's own -----------------------------------------------------------------------------------------------
 
 

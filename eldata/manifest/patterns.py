@@ -148,8 +148,8 @@ def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, .
     for row in rows:
         for path, fields in (files.get(row.path) or {row.path: {}}).items():
             filled = {name: parse_cell(name, text, path) for name, text in fields.items() if name in _FILLED}
-            if row.reference is not None:
-                filled["reference"] = only.get(row.reference) or _fill(row.reference, fields)
+            own = row.reference and _fill(row.reference, fields)
+            filled["reference"] = only.get(row.reference or "", own) if own and is_pattern(own) else own
             expanded.append(replace(row, path=path, **filled))
     paths = {row.path for row in expanded}
     needing = {row.reference: row for row in expanded if row.reference is not None}

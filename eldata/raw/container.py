@@ -555,7 +555,7 @@ def _check_short(
 
 NEEDED = "a mosaic of a Bayer, quad-Bayer, nona-Bayer or X-Trans sensor is needed"
 
-_STATE = "state them in the mosaics of its set's card (docs/adding-a-dataset.md)"
+_STATE = "state them in the mosaics of its set's card (docs/manifests.md)"
 _ARRAY = ("is an array, which states no colour filter array and neither black nor white level", _STATE)
 _BY_HEAD = {
     **dict.fromkeys((b"\x93NUM", b"MATL", b"\x89HDF"), _ARRAY),

@@ -117,5 +117,5 @@ def of_arrays(suffix: str) -> str:
         return ""
     return (
         "; arrays state no levels: give a manifest (.csv) of them, whose card states those in mosaics "
-        "(docs/adding-a-dataset.md)"
+        "(docs/manifests.md)"
     )

@@ -85,7 +85,7 @@ class PairOpener:
         record
             The pair, clip or row: its ratio and flags count.
         target
-            The reference, whose pixels are not needed; ``None``: there is none, and the ratio is 1 or the nominal one.
+            The reference, whose pixels are not needed; ``None``: none, and the ratio is the nominal one, else 1.
         path
             The noisy frame; by default the record's.
         noisy
@@ -121,7 +121,7 @@ def find_ratio(record: Record, target: Frame | None, noisy: Frame, amplification
     """Find the factor of an input; raises as :meth:`PairOpener.open_pair` does."""
     nominal, flags, is_nominal = record.ratio, record.flags, amplification == "nominal"
     if target is None:
-        return None if not noisy.cfa else nominal if is_nominal and nominal is not None else Fraction(1)
+        return None if not noisy.cfa else nominal or Fraction(1)
     if noisy.sensor is None or target.sensor is None or NOMINAL_RATIO in flags:
         return nominal
     if is_nominal and nominal is None:

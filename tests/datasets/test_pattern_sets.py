@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata import evaluate
-from eldata.datasets import LLRVDDataset, PackedStore, PairDataset, PMRIDDataset, ReCRVDDataset
+from eldata.datasets import LLRVDDataset, PairDataset, PMRIDDataset, ReCRVDDataset
 from eldata.download.overview import overview
 from eldata.errors import DatasetError, ManifestError, RawFileError
 from eldata.evaluation import save_prediction
@@ -24,7 +24,6 @@ from eldata.manifest.patterns import expand
 from eldata.manifest.verify import verify
 from eldata.raw.stated import MosaicFacts, StatedFile
 from eldata.records import FrameRecord
-from eldata.sources.store import build_store, source_of_dataset
 from tests.pattern_trees import FRAMES, RATIOS, build_llrvd_tree, build_pmrid_tree, build_recrvd_tree
 
 psnr_of: Any = peak_signal_noise_ratio  # scikit-image has annotations in part only
@@ -171,11 +170,6 @@ def test_what_a_copy_lacks_is_named(tmp_path: Path) -> None:
         PairDataset(folder, "recrvd", scenes=["goat"])
 
 
-def test_a_nested_copy_is_found(tmp_path: Path) -> None:
-    folder = build("llrvd", tmp_path / "unpacked")
-    assert LLRVDDataset(tmp_path / "unpacked", scenes=["1"], window=FRAMES).root == folder
-
-
 def test_an_array_that_is_cut_off_or_of_another_form_is_named(tmp_path: Path) -> None:
     folder = build("llrvd", tmp_path)
     clip = folder / "ratio_noisy_all/35/125/lq.npy"
@@ -203,7 +197,7 @@ def test_a_field_that_cannot_be_is_refused(tmp_path: Path) -> None:
         expand([row], tmp_path)
 
 
-# --- locked, packed ---------------------------------------------------------------------------------------------------
+# --- locked -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_locked_copy_has_a_row_for_each_frame(tmp_path: Path) -> None:
@@ -215,17 +209,6 @@ def test_a_locked_copy_has_a_row_for_each_frame(tmp_path: Path) -> None:
         path.relative_to(folder).as_posix() for path in folder.rglob("*.raw")
     )
     assert all(row.sha256 for row in locked.records)
-
-
-def test_frames_of_arrays_go_into_a_store(tmp_path: Path) -> None:
-    folder = build("llrvd", tmp_path)
-    source = source_of_dataset("llrvd", root=tmp_path, scenes=["35"])
-    build_store(source, tmp_path / "llrvd.h5")
-    files = PairDataset(folder, "llrvd", scenes=["35"])
-    store = PackedStore(tmp_path / "llrvd.h5", levels="metadata", crop=None, augment=False)
-    assert [record.path for record in store.records] == [record.path for record in files.records]
-    for index in (0, len(files) - 1):
-        assert np.array_equal(store[index]["input"], files[index]["input"])
 
 
 # --- frames inside arrays ---------------------------------------------------------------------------------------------

@@ -10,17 +10,25 @@ import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import fields
-from functools import cache
+from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from eldata.datasets import PairDataset, dataset_class, dataset_names, open_dataset, published
-from eldata.errors import ArgumentError, DatasetError
+from eldata import evaluate
+from eldata.base.files import split_member
+from eldata.datasets import PackedStore, PairDataset, dataset_class, dataset_names, open_dataset, published
+from eldata.datasets.packed import PackedClips
+from eldata.errors import ArgumentError, DatasetError, UnusableRawError
 from eldata.manifest.catalogue import ENTRY_POINTS, Manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice, unpaired
+from eldata.manifest.patterns import expand
+from eldata.manifest.verify import verify
+from eldata.manifest.verify_report import Level
+from eldata.sources.store import build_store, source_of_dataset
 from tests.cases import in_one_test
 from tests.crvd_tree import build_crvd_tree
 from tests.datasets.comparing import same
@@ -38,7 +46,7 @@ TREES: dict[str, Callable[[Manifest, Path], None]] = {
     "eld": build_published_tree,
     "sid-sony": build_sid_tree,
     "sid-fuji": build_sid_tree,
-    "drv": build_drv_tree,
+    "drv": partial(build_drv_tree, frames=9),
     "crvd": build_crvd_tree,
     "recrvd": build_recrvd_tree,
     "llrvd": build_llrvd_tree,
@@ -49,34 +57,11 @@ TREES: dict[str, Callable[[Manifest, Path], None]] = {
     "sidd-blocks": build_blocks_tree,
 }
 
+# Of these the frames are no whole DN, and a store holds nothing else.
+FRACTIONS = ("lrid", "sidd", "sidd-blocks")
+
 NAMES = tuple(published._CLASSES)  # not those of packages that happen to be installed beside this one
 EVERY = pytest.mark.parametrize("name", NAMES)
-OF_PAIRS = [name for name in NAMES if issubclass(dataset_class(name), PairDataset)]
-OF_CLIPS = [name for name in NAMES if name not in OF_PAIRS]
-
-
-@pytest.fixture(scope="module")
-def roots(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Per dataset a data root whose files have the published names and small content."""
-
-    @cache
-    def made(name: str) -> Path:
-        root = tmp_path_factory.mktemp(name)
-        manifest = shipped_manifest(name)
-        TREES[name](manifest, root / manifest.card.folder)
-        return root
-
-    return made
-
-
-@pytest.fixture
-def opened(roots: Callable[[str], Path]) -> Callable[..., Any]:
-    """Opens a dataset by name over its fake files."""
-
-    def opened(name: str, **options: object) -> Any:
-        return open_dataset(name, roots(name) / shipped_manifest(name).card.folder, **options)
-
-    return opened
 
 
 # --- the registry -----------------------------------------------------------------------------------------------------
@@ -147,18 +132,73 @@ def test_the_counts_are_the_manifests(name: str) -> None:
             assert len({record.scene for record in noisy}) == subset.pairs
 
 
-# --- samples ----------------------------------------------------------------------------------------------------------
+# --- a copy -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", OF_PAIRS)
-def test_the_published_names_can_be_read(name: str, opened: Callable[..., Any]) -> None:
+@EVERY
+def test_a_copy_in_its_real_layout(name: str, tmp_path: Path) -> None:
+    """It loads, is sound, is scored, is packed, and is found one level off; what a half of it lacks is named.
+
+    Of a set whose names are patterns the small copy has some scenes. tests/cli/test_info.py has citation and licence.
+    """
+    manifest = shipped_manifest(name)
+    folder = tmp_path / manifest.card.folder
+    TREES[name](manifest, folder)
+    rows = expand(manifest.records, folder)
+    there = [row for row in rows if (folder / split_member(row.path)[0]).is_file()]
+    scenes = {str(row.scene) for row in there if row.role == "reference"}
+    options = {} if scenes == {row.scene for row in rows if row.role == "reference"} else {"scenes": [*scenes]}
+    if options:
+        with pytest.raises(DatasetError, match=rf"no frames of \d+ scenes, .*{re.escape(repr(sorted(scenes)))}"):
+            open_dataset(name, folder)
+    dataset = open_dataset(name, folder, **options)
+    (check_pairs if isinstance(dataset, PairDataset) else check_clips)(dataset, manifest, scenes)
+
+    def find_problems(level: Level) -> set[str]:
+        problems = verify([manifest], tmp_path, level=level).problems
+        return {problem.path for problem in problems if problem.found != "no such folder"}
+
+    assert find_problems("metadata") == set()
+    result = evaluate(None, name, root=tmp_path, baseline="input", allow_missing=bool(options))
+    assert 0 < result.whole.scored == len(result.scores)
+    assert 0 < result.psnr_db < 45
+
+    store = tmp_path / "store.h5"
+    if name in FRACTIONS:
+        with pytest.raises(UnusableRawError, match="its pixels are no whole DN"):
+            build_store(source_of_dataset(name, root=tmp_path), store)
+    else:
+        scene = min(scenes)
+        build_store(source_of_dataset(name, root=tmp_path, scenes=[scene]), store)
+        if name == "drv":
+            same(PackedClips(store, crop=None, augment=False)[0], open_dataset(name, folder, scenes=[scene])[0])
+        else:
+            packed = PackedStore(store, crop=None, augment=False, levels="metadata")
+            same(packed[0], PairDataset(folder, name, scenes=[scene], levels="metadata")[0])
+
+    nested = tmp_path / "unpacked" / folder.name
+    nested.parent.mkdir()
+    folder.rename(nested)
+    assert find_problems("quick") == set()
+    assert len(open_dataset(name, nested.parent, **options)) == len(dataset)
+    references = sorted({split_member(row.path)[0] for row in there if row.role == "reference"})
+    renamed, *lost = references[len(references) // 2 :]
+    for path in lost:
+        (nested / path).unlink()
+    (nested / renamed).rename((nested / renamed).with_stem("renamed"))
+    with pytest.raises(DatasetError, match=r"lacks [0-9]+ of the|expected one file as its reference"):
+        open_dataset(name, nested.parent, **options)
+    problems = find_problems("quick")
+    for path in (renamed, *lost):
+        assert any(fnmatch(path, problem.partition("#")[0]) for problem in problems), path
+
+
+def check_pairs(dataset: PairDataset, manifest: Manifest, _: set[str]) -> None:
     """The real names with their extensions in their real case; every camera's files open, in workers' copies too."""
-    dataset = opened(name)
     copy = pickle.loads(pickle.dumps(dataset))
-    assert isinstance(dataset, PairDataset)
-    assert dataset.name == name
+    assert dataset.name == manifest.name
     first_of = {record.camera: index for index, record in reversed([*enumerate(dataset.records)])}
-    assert set(first_of) == set(shipped_manifest(name).card.cameras)
+    assert set(first_of) == set(manifest.card.cameras)
     for index in first_of.values():
         record, sample = dataset.records[index], dataset[index]
         assert sample["path"] == record.path
@@ -168,20 +208,9 @@ def test_the_published_names_can_be_read(name: str, opened: Callable[..., Any]) 
         same(copy[index], sample)
 
 
-@pytest.mark.parametrize("name", OF_CLIPS)
-def test_the_published_clips_can_be_read(name: str, opened: Callable[..., Any]) -> None:
-    records = shipped_manifest(name).records
-    if any("{" in record.path for record in records):  # its tree has some of the scenes
-        with pytest.raises(DatasetError, match=r"no frames of \d+ scenes, such as .*choose yours with") as raised:
-            opened(name)
-        own = re.findall("'([^']+)'", str(raised.value))
-        assert len(own) in (2, 3)
-        dataset, records = opened(name, scenes=own), tuple(row for row in records if row.scene in own)
-    else:
-        dataset = opened(name)
+def check_clips(dataset: Any, _: Manifest, scenes: set[str]) -> None:
     # Of a sequence, the scene stands within the clip's name.
-    scenes = {re.sub(r"^[^/]+/([^/]+)(/.*)?$", r"\1", record.scene) for record in dataset.records}
-    assert scenes == {row.scene for row in records if row.role == "reference"}
+    assert {re.sub(r"^[^/]+/([^/]+)(/.*)?$", r"\1", record.scene) for record in dataset.records} == scenes
     sample = dataset[0]
     assert sample["path"] == dataset.records[0].path
     each = slice(0 if dataset.records[0].references else 1, None)  # a reference for each frame, or one for all

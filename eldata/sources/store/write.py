@@ -172,7 +172,7 @@ def _require_folder(manifest: Manifest, root: Path | str | None) -> Path:
 def _holds_clips(rows: Sequence[FrameRecord]) -> bool:
     """Tell whether rows are clips: patterns, PNG frames, or noisy frames none of which has a nominal ratio."""
     ratios = [row.ratio for row in rows if row.role == "noisy"]
-    patterns = any(is_pattern(row.path) and not has_fields(row.path) for row in rows)
+    patterns = any(is_pattern(row.path) and not has_fields(row.path) for row in rows if row.role == "noisy")
     return patterns or any(is_png(row.path) for row in rows) or (bool(ratios) and not any(ratios))
 
 

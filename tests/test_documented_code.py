@@ -139,7 +139,7 @@ def of_scores(eld: Path) -> Names:
 
 def of_datasets(_: Path) -> Names:
     write_corrected(Path("data/SIDD-CC"), shipped_manifest("sidd").records[:4])
-    for manifest in map(shipped_manifest, ("eld", "sid-sony", "sid-fuji", "lrd", "crvd", "lrid", "sidd")):
+    for manifest in map(shipped_manifest, ("eld", "sid-sony", "sid-fuji", "lrd", "crvd", "lrid", "sidd", "rawnind")):
         folder = manifest.folder("data")  # it looks where copies lie: once
         for record in {record.path: record for record in manifest.records}.values():
             place_of(record, folder).touch()

@@ -43,6 +43,7 @@ TREES: dict[str, Callable[[Manifest, Path], None]] = {
     "recrvd": build_recrvd_tree,
     "llrvd": build_llrvd_tree,
     "pmrid": build_pmrid_tree,
+    "rawnind": build_published_tree,
     "lrd": build_lrd_tree,
     "lrid": build_lrid_tree,
     "sidd": build_sidd_tree,

@@ -50,6 +50,7 @@ def published() -> dict[str, tuple[FrameRecord, ...]]:
         "crvd": crvd_records(),
         **{name: pattern_records(name, load_splits(facts_of(name))) for name in ("recrvd", "llrvd")},
         "pmrid": pattern_records("pmrid", {"": "test"}),
+        "raw-denoise": pattern_records("raw-denoise", {"": "train"}),
         "rawnind": rawnind_records(facts_of("rawnind")),
     }
 

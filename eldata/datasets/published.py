@@ -596,6 +596,7 @@ _CLASSES: dict[str, tuple[type[Any], dict[str, str]]] = {
     "recrvd": (ReCRVDDataset, {}),
     "llrvd": (LLRVDDataset, {}),
     "pmrid": (PMRIDDataset, {}),
+    "raw-denoise": (PairDataset, {"manifest": "raw-denoise"}),
     "rawnind": (RawNINDDataset, {}),
     "lrd": (LRDDataset, {}),
     "lrid": (LRIDDataset, {}),

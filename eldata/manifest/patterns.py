@@ -132,7 +132,7 @@ def find_elsewhere(folder: Path, paths: Iterable[str]) -> dict[str, str]:
 def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, ...]:
     """Return rows in which the files of a copy replace the patterns, sorted by path.
 
-    A pattern that matches nothing stays, and so does one in ``reference`` unless it matches one file.
+    A pattern that matches nothing stays; so does one in ``reference`` unless it matches one file, of the same fields.
 
     Raises
     ------
@@ -143,13 +143,16 @@ def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, .
     files = {row.path: matching(folder, row.path) for row in rows if is_pattern(row.path)}
     if not files:
         return tuple(sorted(rows, key=attrgetter("path")))
-    only = {pattern: next(iter(found)) for pattern, found in files.items() if len(found) == 1}
+    only = {pattern: next(iter(found.items())) for pattern, found in files.items() if len(found) == 1}
     expanded = []
     for row in rows:
         for path, fields in (files.get(row.path) or {row.path: {}}).items():
             filled = {name: parse_cell(name, text, path) for name, text in fields.items() if name in _FILLED}
             if row.reference is not None:
-                filled["reference"] = only.get(row.reference) or _fill(row.reference, fields)
+                reference = _fill(row.reference, fields)
+                place, own = only.get(row.reference, (reference, {}))
+                alike = all(fields.get(name, text) == text for name, text in own.items())  # else it is another's
+                filled["reference"] = place if is_pattern(reference) and alike else reference
             expanded.append(replace(row, path=path, **filled))
     paths = {row.path for row in expanded}
     needing = {row.reference: row for row in expanded if row.reference is not None}

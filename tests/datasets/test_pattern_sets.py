@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +14,19 @@ from numpy.typing import NDArray
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata import evaluate
-from eldata.datasets import LLRVDDataset, PackedStore, PairDataset, PMRIDDataset, ReCRVDDataset
+from eldata.datasets import LLRVDDataset, PackedStore, PairDataset, PMRIDDataset, ReCRVDDataset, open_dataset
 from eldata.download.overview import overview
-from eldata.errors import DatasetError, ManifestError, RawFileError
+from eldata.errors import DatasetError, ManifestError, RawFileError, UnusableRawError
 from eldata.evaluation import save_prediction
 from eldata.evaluation.predictions import stem_of
-from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
+from eldata.manifest.catalogue import Manifest, load_manifest, save_manifest, shipped_manifest
 from eldata.manifest.lock import lock
 from eldata.manifest.patterns import expand
 from eldata.manifest.verify import verify
 from eldata.raw.stated import MosaicFacts, StatedFile
 from eldata.records import FrameRecord
 from eldata.sources.store import build_store, source_of_dataset
-from tests.pattern_trees import FRAMES, RATIOS, build_llrvd_tree, build_pmrid_tree, build_recrvd_tree
+from tests.pattern_trees import FRAMES, RATIOS, build_imx_tree, build_llrvd_tree, build_pmrid_tree, build_recrvd_tree
 
 psnr_of: Any = peak_signal_noise_ratio  # scikit-image has annotations in part only
 ssim_of: Any = structural_similarity
@@ -34,6 +35,7 @@ BUILDERS: dict[str, Callable[[Manifest, Path], None]] = {
     "recrvd": build_recrvd_tree,
     "llrvd": build_llrvd_tree,
     "pmrid": build_pmrid_tree,
+    "raw-denoise": build_imx_tree,
 }
 
 
@@ -86,6 +88,29 @@ def test_pmrid_is_what_its_loader_reads(tmp_path: Path) -> None:
     (folder / "Scene1/Dark/exposure-case2/gt.raw").write_bytes(b"\1" * 23_999_998)
     with pytest.raises(RawFileError, match=r"gt.raw: expected 24000000 bytes \(3000 x 4000 pixels\), found 23999998"):
         dataset[1]
+
+
+def test_levels_that_no_text_states_are_asked_for(tmp_path: Path) -> None:
+    """As docs/datasets.md has it, of a copy as the hub makes it."""
+    published, name = shipped_manifest("raw-denoise"), "RAW/noisy/4Card_Gain160_E30_noisy.npy"
+    build_imx_tree(published, folder := tmp_path / "raw_denoise/sony_IMX678_20240111")
+    asked = "states no colour filter array and neither black nor white level.*state them in the mosaics of its set's"
+    with pytest.raises(UnusableRawError, match=asked):
+        open_dataset("raw-denoise", tmp_path)[0]
+    with pytest.raises(DatasetError, match=asked):
+        evaluate(None, "raw-denoise", baseline="input", root=tmp_path)
+    assert len(problems_of("raw-denoise", tmp_path)) == 4
+    facts = MosaicFacts("*.npy", "GRBG", (200.0,), 4095.0)
+    card = replace(published.card, name="my-raw-denoise", mosaics=(facts,))
+    save_manifest(tmp_path / "my-raw-denoise.csv", card, published.records)
+    (sample, _) = PairDataset(tmp_path / "raw_denoise", tmp_path / "my-raw-denoise.csv", clip="none")
+    red = (np.load(folder / name)[0::2, 1::2].astype(np.float64) - 200) / (4095 - 200)
+    assert (sample["path"], sample["scene"], sample["ratio"]) == (name, "4Card", 1)
+    assert np.abs(sample["input"][0].numpy() - red).max() < 1e-6
+    assert verify(tmp_path / "my-raw-denoise.csv", tmp_path, level="full").problems == ()
+    (folder / name.replace("noisy", "gt")).unlink()
+    (problem,) = verify(tmp_path / "my-raw-denoise.csv", tmp_path).problems
+    assert (problem.path, problem.found) == (name.replace("noisy", "gt"), "nothing")
 
 
 # --- protocols, step by step ------------------------------------------------------------------------------------------

@@ -32,14 +32,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def render(packed: NDArray[Any], meta: dict[str, Any]) -> NDArray[np.float32]:
-    """Render a packed frame, (4, h, w) in [0, 1], of BGGR: (H, W, 3) in [0, 1]."""
+def demosaic(packed: NDArray[Any], meta: dict[str, Any]) -> NDArray[np.uint16]:
+    """Balance and demosaic a packed frame, (4, h, w) in [0, 1], of BGGR: linear colours, (H, W, 3) of 16 bits."""
     gains = np.array(meta["wb_gain"])[[0, 1, 2, 1], None, None]
     mosaic = unpack((packed[:, ::-1, ::-1] * gains).clip(0, 1), bayer_cfa("RGGB")).astype(np.float32)
     codes = np.round(mosaic * 65535).astype(np.uint16)
-    linear = cv2.cvtColor(codes, cv2.COLOR_BAYER_BG2RGB_EA).astype(np.float32) / 65535
-    colours: NDArray[np.float32] = (linear.dot(np.array(meta["CCM"]).T).clip(0, 1) ** (1 / 2.2)).astype(np.float32)
+    colours: NDArray[np.uint16] = cv2.cvtColor(codes, cv2.COLOR_BAYER_BG2RGB_EA)
     return colours[::-1, ::-1]
+
+
+def render(colours: NDArray[np.uint16], meta: dict[str, Any]) -> NDArray[np.float32]:
+    """Render linear colours, (h, w, 3), in sRGB: of the same shape, in [0, 1]."""
+    linear = colours.astype(np.float32) / 65535
+    rendered: NDArray[np.float32] = (linear.dot(np.array(meta["CCM"]).T).clip(0, 1) ** (1 / 2.2)).astype(np.float32)
+    return rendered
 
 
 def score_regions(predictions: Path | str, root: Path | str) -> NDArray[np.float64]:
@@ -60,9 +66,9 @@ def score_regions(predictions: Path | str, root: Path | str) -> NDArray[np.float
     for prediction, reference, record in scored_pairs(predictions, "pmrid", root=root, protocol=as_it_is):
         if (meta := listed.get(record.path)) is None:
             raise DatasetError(f"{file}: expected the regions of {record.path}, found none; take the whole set")
-        shown, truth = render(prediction, meta), render(reference, meta)
+        images = demosaic(reference, meta), demosaic(prediction, meta)
         for x0, y0, x1, y1 in meta["ROIs"]:
-            patches = truth[y0:y1, x0:x1], shown[y0:y1, x0:x1]
+            patches = [render(image[y0:y1, x0:x1], meta) for image in images]
             psnr = peak_signal_noise_ratio(*patches, data_range=1)
             scores.append((psnr, structural_similarity(*patches, channel_axis=2, data_range=2)))
     return np.array(scores)

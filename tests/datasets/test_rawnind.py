@@ -27,29 +27,24 @@ def few(tmp_path: Path) -> Manifest:
     """A copy of the two scenes with an alignment; the small files are not of the published sizes."""
     published = shipped_manifest("rawnind")
     rows = [replace(row, size_bytes=None) for row in published.records if row.scene in SCENES]
-    card = replace(published.card, counts=counts_of(rows), cameras={"Bayer": published.card.cameras["Bayer"]})
     build_published_tree(replace(published, records=tuple(rows)), tmp_path / "RawNIND")
-    return save_manifest(tmp_path / "rawnind.csv", card, rows)
+    return save_manifest(tmp_path / "rawnind.csv", replace(published.card, counts=counts_of(rows)), rows)
 
 
 def test_names_say_all_that_is_known() -> None:
-    """Of dataset.yaml's two counts by filter array, with 15 raws of three scenes that it lacks."""
+    """Of dataset.yaml's counts by filter array, with 15 raws of three scenes that it lacks."""
     records = shipped_manifest("rawnind").records
-    assert Counter((row.camera, row.role) for row in records) == {
-        ("Bayer", "reference"): 435 - 11, ("Bayer", "noisy"): 1739,
-        ("X-Trans", "reference"): 132 + 3, ("X-Trans", "noisy"): 531 - 1 + 12,
+    assert Counter(f"{row.camera} {row.role}" for row in records) == {
+        "Bayer reference": 424, "Bayer noisy": 1739, "X-Trans reference": 132 + 3, "X-Trans noisy": 530 + 12,
     }  # fmt: skip
     assert len({row.scene for row in records if row.split == "test"}) == 10 + 6
-    by_path = {row.path: row for row in records}
+    scene_of = {row.path: row.scene for row in records} | {None: None}
     for row in records:
-        said = re.fullmatch(r".*/(?:Bayer|X-Trans)_(.+?)_(?:GT_)?ISO(\d+|Hi 3200)_sha1=[0-9a-f]{40}\.\w+", row.path)
-        assert said is not None
-        assert (said[1], said[2]) == (row.scene, "Hi 3200" if "Hi" in said[2] else str(row.iso or 65535))
-        assert ("/gt/" in row.path) == ("_GT_" in row.path) == (row.role == "reference")
-        if row.reference is not None:
-            assert by_path[row.reference].scene == row.scene
-        else:
-            assert row.role == "reference" or row.path.endswith(".crw")
+        name = rf"src/{row.camera}/{row.scene}/(gt/)?{row.camera}_{row.scene}_(GT_)?ISO(.+)_sha1=[0-9a-f]{{40}}\.\w+"
+        assert (said := re.fullmatch(name, row.path))
+        assert said[3] == str(row.iso) if row.iso else said[3] in ("65535", "Hi 3200")
+        assert (said[1] is None) == (said[2] is None) == (row.role == "noisy")
+        assert scene_of[row.reference] == (None if row.role != "noisy" or row.path.endswith(".crw") else row.scene)
 
 
 def test_rawnind_is_what_its_loader_reads(few: Manifest, tmp_path: Path) -> None:
@@ -65,26 +60,20 @@ def test_rawnind_is_what_its_loader_reads(few: Manifest, tmp_path: Path) -> None
 
 
 def test_pairs_that_may_lie_apart_are_not_scored_unless_asked_for(few: Manifest, tmp_path: Path) -> None:
-    result = evaluate(None, "rawnind", baseline="input", manifest=few.path, root=tmp_path)
-    assert (result.protocol.name, result.scored) == ("raw", 11)
-    assert set(result.provenance["included_flags"]) == {"uncertain-iso"}
-    every = evaluate(None, "rawnind", baseline="input", manifest=few.path, root=tmp_path, subset="all")
-    assert every.scored == 13
-    assert every.provenance["included_flags"] == {"misaligned": 1, "unaligned": 1, "uncertain-iso": 13}
+    for subset, flags in ((None, {}), ("all", {"misaligned": 1, "unaligned": 1})):
+        result = evaluate(None, "rawnind", baseline="input", manifest=few.path, root=tmp_path, subset=subset)
+        assert (result.protocol.name, result.scored) == ("raw", 11 + len(flags))
+        assert result.provenance["included_flags"] == flags | {"uncertain-iso": 11 + len(flags)}
 
 
 def test_what_a_copy_lacks_is_named(few: Manifest, tmp_path: Path) -> None:
-    folder, noisy = tmp_path / "RawNIND", [row.path for row in few.records if row.role == "noisy"]
-    assert verify([few], tmp_path, level="metadata").problems == ()
-    shutil.move(folder, tmp_path / "moved")
-    shutil.move(tmp_path / "moved", folder / "RawNIND")
-    assert verify([few], tmp_path, level="metadata").problems == ()
-    (folder / "RawNIND" / noisy[0]).rename(folder / "RawNIND" / noisy[0].replace("Bayer_", "bayer-"))
-    half = (folder / "RawNIND" / noisy[1]).read_bytes()[:-100]
-    (folder / "RawNIND" / noisy[1]).unlink()
-    (folder / "RawNIND" / noisy[1]).write_bytes(half)
-    found = {problem.path: problem.field for problem in verify([few], tmp_path, level="metadata").problems}
-    renamed = noisy[0].replace("Bayer_", "bayer-")
-    assert found == {noisy[0]: "file", renamed: "file", noisy[1]: "content"}
-    sizes = verify([shipped_manifest("rawnind")], tmp_path, cameras=["Bayer"]).problems
-    assert ("size_bytes", noisy[2]) in {(problem.field, problem.path) for problem in sizes}
+    lost, half, *_ = (row.path for row in few.records if row.role == "noisy")
+    root, nested = tmp_path / "nested", shutil.copytree(tmp_path / "RawNIND", tmp_path / "nested/RawNIND/RawNIND")
+    assert verify([few], root, level="metadata").problems == ()
+    renamed = lost.replace("Bayer_", "bayer-")
+    (nested / lost).rename(nested / renamed)
+    (nested / half).write_bytes((nested / half).read_bytes()[:-100])
+    found = {problem.path: problem.field for problem in verify([few], root, level="metadata").problems}
+    assert found == {lost: "file", renamed: "file", half: "content"}
+    sizes = verify([shipped_manifest("rawnind")], root, cameras=["Bayer"]).problems
+    assert ("size_bytes", half) in {(problem.field, problem.path) for problem in sizes}

@@ -27,7 +27,7 @@ from tests.datasets.comparing import same
 from tests.drv_tree import build_drv_tree
 from tests.lrd_tree import build_lrd_tree
 from tests.lrid_tree import build_lrid_tree
-from tests.pattern_trees import build_imx_tree, build_llrvd_tree, build_pmrid_tree, build_recrvd_tree
+from tests.pattern_trees import BUILDERS
 from tests.sid_tree import build_sid_tree
 from tests.sidd_tree import build_blocks_tree, build_sidd_tree
 from tests.trees import build_published_tree
@@ -40,10 +40,7 @@ TREES: dict[str, Callable[[Manifest, Path], None]] = {
     "sid-fuji": build_sid_tree,
     "drv": build_drv_tree,
     "crvd": build_crvd_tree,
-    "recrvd": build_recrvd_tree,
-    "llrvd": build_llrvd_tree,
-    "pmrid": build_pmrid_tree,
-    "raw-denoise": build_imx_tree,
+    **BUILDERS,
     "rawnind": build_published_tree,
     "lrd": build_lrd_tree,
     "lrid": build_lrid_tree,

@@ -75,6 +75,8 @@ def score_regions(predictions: Path | str, root: Path | str) -> NDArray[np.float
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
     try:
         measured = score_regions(*sys.argv[1:])
     except EldataError as problem:

@@ -119,14 +119,18 @@ def _compile(part: str) -> re.Pattern[str]:
     )
 
 
-def find_elsewhere(folder: Path, paths: Iterable[str]) -> dict[str, str]:
+def find_elsewhere(folder: Path, paths: Iterable[str], listed: Iterable[FrameRecord] = ()) -> dict[str, str]:
     """Find where else below a set's folder files of these paths lie, by the last three parts of a path.
 
-    Loaders and archives lay one set out differently, such as CRVD with a folder more, or less, for each kind of frame.
+    Loaders and archives lay one set out differently, such as CRVD with a folder more, or less, for each kind of frame;
+    or flat, as downloads are: a file of a name that one ``listed`` row has is found in any folder.
     """
-    ends = {PurePosixPath(path).parts[-_END:]: path for path in paths}
+    wanted, names = [*paths], Counter(PurePosixPath(row.path).name for row in listed)
+    ends = {PurePosixPath(path).parts[-_END:]: path for path in wanted}
+    ends |= {PurePosixPath(path).parts[-1:]: path for path in wanted if names[PurePosixPath(path).name] == 1}
     places = (PurePosixPath(file.relative_to(folder)) for file in (visible_below(folder) if ends else ()))
-    return {ends[place.parts[-_END:]]: str(place) for place in places if place.parts[-_END:] in ends}
+    found = ((ends.get(place.parts[-_END:]) or ends.get(place.parts[-1:]), str(place)) for place in places)
+    return {path: place for path, place in found if path is not None}
 
 
 def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, ...]:

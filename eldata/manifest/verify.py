@@ -171,7 +171,7 @@ def _check_presence(
             problems.append(row_fault(record.path, "size_bytes", expected, f"{size} bytes", COPY_AGAIN))
         if size > 0:
             present.append(record)
-    elsewhere = find_elsewhere(folder, (lost[0].path for top, lost in missing.items() if top != lost[0].path))
+    elsewhere = find_elsewhere(folder, (lost[0].path for top, lost in missing.items() if top != lost[0].path), records)
     problems += [_missing(manifest, folder, top, lost, elsewhere) for top, lost in missing.items()]
     return present, problems
 

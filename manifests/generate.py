@@ -25,6 +25,7 @@ from manifests.published_eld import published_eld_records
 from manifests.published_lrd import SPLITS as LRD_SPLITS
 from manifests.published_lrd import load_lrd_scenes, lrd_records, lrd_scenes_from_lists, save_lrd_scenes
 from manifests.published_lrid import bursts_from_infos, load_bursts, lrid_records, save_bursts
+from manifests.published_rawnind import rawnind_records
 from manifests.published_sidd import block_records, load_instances, sidd_records
 from manifests.sid_scenes import SID_CAMERAS, load_scenes, save_scenes, scenes_from_lists, sid_records
 
@@ -49,6 +50,8 @@ def published() -> dict[str, tuple[FrameRecord, ...]]:
         "crvd": crvd_records(),
         **{name: pattern_records(name, load_splits(facts_of(name))) for name in ("recrvd", "llrvd")},
         "pmrid": pattern_records("pmrid", {"": "test"}),
+        "raw-denoise": pattern_records("raw-denoise", {"": "train"}),
+        "rawnind": rawnind_records(facts_of("rawnind")),
     }
 
 

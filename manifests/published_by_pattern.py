@@ -12,6 +12,8 @@ llrvd
 pmrid
     Y. Wang et al., "Practical Deep Raw Image Denoising on Mobile Devices", ECCV 2020; the PMRID repository's README and
     benchmark.py.
+raw-denoise
+    TWSLA/raw_denoise on Hugging Face, README of revision e08e2a6: names are scene, gain and exposure.
 """
 
 from __future__ import annotations
@@ -40,6 +42,12 @@ PATTERNS = {
         None,
     ),
     "pmrid": ("Reno10x", "{scene}/{light}/{case}/gt.raw", "{scene}/{light}/{case}/input.raw", Fraction(1)),
+    "raw-denoise": (
+        "IMX678",
+        "RAW/gt/{scene}_{gain}_{exposure}_gt.npy",
+        "RAW/noisy/{scene}_{gain}_{exposure}_noisy.npy",
+        Fraction(1),
+    ),
 }
 
 

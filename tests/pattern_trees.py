@@ -73,3 +73,17 @@ def build_pmrid_tree(manifest: Manifest, folder: Path) -> None:
         for name, noise in (("gt", 20.0), ("input", 900.0)):
             tile = draw_mosaic(100 * number + len(name), 0, 65535, noise, (200, 200)).astype("<u2")
             np.tile(tile, (height // 200, width // 200)).tofile(place / f"{name}.raw")
+
+
+def build_imx_tree(manifest: Manifest, folder: Path) -> None:
+    """Two scenes, of 12 bits; levels and colour filter array are nobody's but the test's."""
+    del manifest
+    for kind, noise in (("gt", 2.0), ("noisy", 60.0)):
+        (folder / "RAW" / kind).mkdir(parents=True)
+        for number, name in enumerate(("4Card_Gain160_E30", "Focus_Gain200_E30")):
+            np.save(folder / f"RAW/{kind}/{name}_{kind}.npy", draw_mosaic(100 * number + len(kind), 200, 4095, noise))
+
+
+BUILDERS = {
+    "recrvd": build_recrvd_tree, "llrvd": build_llrvd_tree, "pmrid": build_pmrid_tree, "raw-denoise": build_imx_tree,
+}  # fmt: skip

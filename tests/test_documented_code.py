@@ -140,11 +140,11 @@ def of_scores(eld: Path) -> Names:
 
 def of_datasets(_: Path) -> Names:
     write_corrected(Path("data/SIDD-CC"), shipped_manifest("sidd").records[:4])
-    for manifest in map(shipped_manifest, ("eld", "sid-sony", "sid-fuji", "lrd", "crvd", "lrid", "sidd")):
+    for manifest in map(shipped_manifest, ("eld", "sid-sony", "sid-fuji", "lrd", "crvd", "lrid", "sidd", "rawnind")):
         folder = manifest.folder("data")  # it looks where copies lie: once
         for record in {record.path: record for record in manifest.records}.values():
             place_of(record, folder).touch()
-    for manifest, frame in product(map(shipped_manifest, ("recrvd", "pmrid")), "12345"):
+    for manifest, frame in product(map(shipped_manifest, ("recrvd", "pmrid", "raw-denoise")), "12345"):
         for record in manifest.records:
             path = re.sub(r"\{\w+\}|\*", "0", record.path.replace("{frame}", frame))
             place_of(replace(record, path=path), manifest.folder("data")).touch()

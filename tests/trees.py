@@ -168,7 +168,7 @@ def build_published_tree(manifest: Manifest, folder: Path) -> None:
     record_of = {record.path: record for record in records}
 
     def write(record: FrameRecord) -> None:
-        model = manifest.card.cameras[record.camera].models[-1]
+        model = (record.camera, *manifest.card.cameras[record.camera].models)[-1]
         sensor = Sensor("Maker", model, ((0, 1), (3, 2)), (512.0,) * 4, 16383.0, *mosaic.shape)
         write_dng(folder / record.path, mosaic, sensor, _exposure_of(record, record_of))
 

@@ -21,6 +21,7 @@ from .published import LLRVDDataset as LLRVDDataset
 from .published import LRDDataset as LRDDataset
 from .published import LRIDDataset as LRIDDataset
 from .published import PMRIDDataset as PMRIDDataset
+from .published import RawNINDDataset as RawNINDDataset
 from .published import ReCRVDDataset as ReCRVDDataset
 from .published import SIDDataset as SIDDataset
 from .published import SIDDDataset as SIDDDataset

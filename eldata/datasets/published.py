@@ -555,6 +555,35 @@ class PMRIDDataset(PairDataset):
         super().__init__(**keywords_of(locals()))
 
 
+class RawNINDDataset(PairDataset):
+    """RawNIND: scenes by cameras with Bayer and X-Trans arrays, each at several ISOs; 2281 noisy frames.
+
+    Parameters, samples and errors: :class:`~eldata.datasets.base.PairDataset`. A reference is the first of its scene.
+    Few pairs are known to lie on each other: ``subset="aligned"``, or ``exclude_flags=["unaligned", "misaligned"]``.
+    Inputs are amplified by what EXIF states, which nobody has published. Splits: ``"train"``, ``"test"`` (16 scenes).
+
+    References
+    ----------
+    B. Brummer and C. De Vleeschouwer, "Learning Joint Denoising, Demosaicing, and Compression from the Raw Natural
+    Image Noise Dataset", arXiv 2501.08924, 2025.
+    """
+
+    def __init__(
+        self,
+        root: Path | str | None = None,
+        *,
+        manifest: Path | str = "rawnind",
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
+        seed: int = 0, transform: Transform | None = None, check: FileCheck = "exists",
+    ) -> None:  # fmt: skip
+        super().__init__(**keywords_of(locals()))
+
+
 # --- all datasets by name -----------------------------------------------------------------------------------------
 
 # A dataset's name is its manifest's; and the options that tell manifests apart which one class reads.
@@ -567,6 +596,8 @@ _CLASSES: dict[str, tuple[type[Any], dict[str, str]]] = {
     "recrvd": (ReCRVDDataset, {}),
     "llrvd": (LLRVDDataset, {}),
     "pmrid": (PMRIDDataset, {}),
+    "raw-denoise": (PairDataset, {"manifest": "raw-denoise"}),
+    "rawnind": (RawNINDDataset, {}),
     "lrd": (LRDDataset, {}),
     "lrid": (LRIDDataset, {}),
     "sidd": (SIDDDataset, {}),
@@ -580,8 +611,8 @@ def dataset_names() -> tuple[str, ...]:
     Examples
     --------
     >>> from eldata.datasets import dataset_names
-    >>> dataset_names()
-    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'crvd', 'recrvd', 'llrvd', 'pmrid', 'lrd', 'lrid', 'sidd', 'sidd-blocks')
+    >>> dataset_names()[:4]
+    ('eld', 'sid-sony', 'sid-fuji', 'drv')
     """
     return tuple(dict.fromkeys((*_CLASSES, *registered_names())))
 

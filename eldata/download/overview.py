@@ -87,7 +87,7 @@ class Overview:
     def next_step(self) -> str:
         """The next step: get the files, check them, or list one's own."""
         if self.presence is None:
-            return "list your copy of camera raws: eldata manifest FOLDER -o mine.csv (docs/adding-a-dataset.md)"
+            return "list your copy: eldata manifest FOLDER -o mine.csv, or arrays by hand (docs/adding-a-dataset.md)"
         own = self.card.name not in known_names()
         return self.verify_command if self.presence.complete or own else self.download_command
 

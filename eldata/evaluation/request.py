@@ -484,7 +484,8 @@ def require_pairs(request: Request, pairs: Iterable[Pair]) -> tuple[FrameFiles, 
     levels_dn = check_rows(request, chosen, "metadata", unusable if request.allow_missing else None)
     if not (request.protocol.is_of_packed and request.protocol.levels == "metadata"):
         return files, (), unusable
-    remarks = white_remarks([row for row in chosen if row.path not in unusable], levels_dn, files, request.workers)
+    there, cameras = [row for row in chosen if row.path not in unusable], request.manifest.card.cameras
+    remarks = white_remarks(there, levels_dn, cameras, files, request.workers)
     return files, tuple(remark.sentence() for remark in remarks), unusable
 
 

@@ -104,6 +104,8 @@ class Subset:
     first
         Whether of each burst, which is what has a reference, an ISO and a ratio in common, only the first frame by path
         belongs to it.
+    without
+        Flags of noisy frames that do not belong to it.
     """
 
     name: str
@@ -114,12 +116,14 @@ class Subset:
     scenes: tuple[str, ...] = ()
     paths: str = "*"
     first: bool = False
+    without: tuple[str, ...] = ()
 
     def holds(self, pair: PairRecord | FrameRecord) -> bool:
         """Tell whether a pair, or the row of a noisy frame, belongs to this subset, ``first`` aside."""
         return (
             (not self.splits or pair.split in self.splits)
             and (not self.scenes or pair.scene in self.scenes)
+            and not {*self.without} & {*pair.flags}
             and (
                 fnmatchcase(pair.path, self.paths) or has_fields(pair.path)
             )  # or nothing of it is there: that has to show
@@ -349,7 +353,7 @@ def save_card(path: Path, card: Card) -> None:
     write_text(path, card_text(card))
 
 
-_LEFT_OUT = ("first", *(one.name for one in fields(MosaicFacts) if one.default is not MISSING))
+_LEFT_OUT = ("first", "without", *(one.name for one in fields(MosaicFacts) if one.default is not MISSING))
 """What a card's entries leave out where it says nothing."""
 
 

@@ -21,6 +21,7 @@ from eldata.raw.files import RAW_EXTENSIONS
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from eldata.manifest.card import CameraCard
     from eldata.manifest.catalogue import FrameFiles
     from eldata.raw.levels import MeanLevels
     from eldata.records import FrameRecord
@@ -132,28 +133,34 @@ def _name_faults(folder: PurePosixPath, frames: FrameSequence) -> list[Problem]:
 
 
 def white_remarks(
-    records: Sequence[FrameRecord], levels_dn: Mapping[str, MeanLevels | None], files: FrameFiles, workers: Workers
+    records: Sequence[FrameRecord],
+    levels_dn: Mapping[str, MeanLevels | None],
+    cameras: Mapping[str, CameraCard],
+    files: FrameFiles,
+    workers: Workers,
 ) -> tuple[FileRemark, ...]:
     """Remark on noisy files whose white level is not their reference's, on each kind once.
 
-    Files that do not state theirs in plain words have those of the first one of their camera and ISO, which is decoded.
+    Files that do not state theirs in plain words have those of the first one of their camera and ISO, which is decoded;
+    where ``cameras`` have no model, several may share the name, and it is the first of their scene.
     """
     from eldata.raw.levels import white_remark
 
     rows = {record.path: record for record in records}
+    like = {row.path: (row.camera, row.iso, "" if cameras[row.camera].models else row.scene) for row in records}
     pairs = [(rows[record.reference], record) for record in records if record.reference in rows]
-    first = {(record.camera, record.iso): record for pair in reversed(pairs) for record in pair}
+    first = {like[record.path]: record for pair in reversed(pairs) for record in pair}
     unknown = [record for record in first.values() if levels_dn[record.path] is None]
     unknown = [record for record in unknown if Path(record.path).suffix.lower() in RAW_EXTENSIONS]
     decoded = workers.attempt(partial(_decode_levels, files), unknown, label="white levels")
     levels_of = {
-        (record.camera, record.iso): levels
+        like[record.path]: levels
         for record, levels in zip(unknown, decoded, strict=True)
         if not isinstance(levels, Failed)  # who scores it says why
     }
     remarks = []
     for pair in pairs:
-        clean, noisy = (levels_dn[record.path] or levels_of.get((record.camera, record.iso)) for record in pair)
+        clean, noisy = (levels_dn[record.path] or levels_of.get(like[record.path]) for record in pair)
         text = white_remark(noisy, clean) if noisy and clean else None
         remarks.append((pair[1].path, (text,) if text else ()))
     return distinct(remarks)

@@ -119,20 +119,24 @@ def _compile(part: str) -> re.Pattern[str]:
     )
 
 
-def find_elsewhere(folder: Path, paths: Iterable[str]) -> dict[str, str]:
+def find_elsewhere(folder: Path, paths: Iterable[str], listed: Iterable[FrameRecord] = ()) -> dict[str, str]:
     """Find where else below a set's folder files of these paths lie, by the last three parts of a path.
 
-    Loaders and archives lay one set out differently, such as CRVD with a folder more, or less, for each kind of frame.
+    Loaders and archives lay one set out differently, such as CRVD with a folder more, or less, for each kind of frame;
+    or flat, as downloads are: a file of a name that one ``listed`` row has is found in any folder.
     """
-    ends = {PurePosixPath(path).parts[-_END:]: path for path in paths}
+    wanted, names = [*paths], Counter(PurePosixPath(row.path).name for row in listed)
+    ends = {PurePosixPath(path).parts[-_END:]: path for path in wanted}
+    ends |= {PurePosixPath(path).parts[-1:]: path for path in wanted if names[PurePosixPath(path).name] == 1}
     places = (PurePosixPath(file.relative_to(folder)) for file in (visible_below(folder) if ends else ()))
-    return {ends[place.parts[-_END:]]: str(place) for place in places if place.parts[-_END:] in ends}
+    found = ((ends.get(place.parts[-_END:]) or ends.get(place.parts[-1:]), str(place)) for place in places)
+    return {path: place for path, place in found if path is not None}
 
 
 def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, ...]:
     """Return rows in which the files of a copy replace the patterns, sorted by path.
 
-    A pattern that matches nothing stays, and so does one in ``reference`` unless it matches one file.
+    A pattern that matches nothing stays; so does one in ``reference`` unless it matches one file, of the same fields.
 
     Raises
     ------
@@ -143,13 +147,16 @@ def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, .
     files = {row.path: matching(folder, row.path) for row in rows if is_pattern(row.path)}
     if not files:
         return tuple(sorted(rows, key=attrgetter("path")))
-    only = {pattern: next(iter(found)) for pattern, found in files.items() if len(found) == 1}
+    only = {pattern: next(iter(found.items())) for pattern, found in files.items() if len(found) == 1}
     expanded = []
     for row in rows:
         for path, fields in (files.get(row.path) or {row.path: {}}).items():
             filled = {name: parse_cell(name, text, path) for name, text in fields.items() if name in _FILLED}
-            own = row.reference and _fill(row.reference, fields)
-            filled["reference"] = only.get(row.reference or "", own) if own and is_pattern(own) else own
+            if row.reference is not None:
+                reference = _fill(row.reference, fields)
+                place, own = only.get(row.reference, (reference, {}))
+                alike = all(fields.get(name, text) == text for name, text in own.items())  # else it is another's
+                filled["reference"] = place if is_pattern(reference) and alike else reference
             expanded.append(replace(row, path=path, **filled))
     paths = {row.path for row in expanded}
     needing = {row.reference: row for row in expanded if row.reference is not None}

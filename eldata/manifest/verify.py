@@ -102,7 +102,7 @@ def _verify_dataset(
     problems, present, remarks, levels_dn = check_files(manifest, folder, records, level=level, workers=workers)
     if level != "quick":
         files = FrameFiles.of(folder.absolute(), manifest.card, present)
-        remarks += white_remarks(present, levels_dn, files, workers)
+        remarks += white_remarks(present, levels_dn, manifest.card.cameras, files, workers)
     hashed = sum(record.sha256 is not None for record in present) if level == "full" else 0
     counts = len(expand(records, folder)), len(present), hashed
     return DatasetReport(manifest.name, folder, False, manifest.card.homepage, *counts, problems, remarks)
@@ -171,7 +171,7 @@ def _check_presence(
             problems.append(row_fault(record.path, "size_bytes", expected, f"{size} bytes", COPY_AGAIN))
         if size > 0:
             present.append(record)
-    elsewhere = find_elsewhere(folder, (lost[0].path for top, lost in missing.items() if top != lost[0].path))
+    elsewhere = find_elsewhere(folder, (lost[0].path for top, lost in missing.items() if top != lost[0].path), records)
     problems += [_missing(manifest, folder, top, lost, elsewhere) for top, lost in missing.items()]
     return present, problems
 

@@ -464,7 +464,8 @@ class Files:
         camera_in = {row.path.partition("/")[0]: row.camera for row in self.records}
         if not folder.is_dir():
             raise no_folder(folder, card, camera_in)
-        if path in (elsewhere := {} if (folder / split_member(path)[0]).exists() else find_elsewhere(folder, [path])):
+        is_there = (folder / split_member(path)[0]).exists()
+        if path in (elsewhere := {} if is_there else find_elsewhere(folder, [path], self.records)):
             found = f"expected {path}, found it in another place, {elsewhere[path]}"
             raise DatasetError(f"{folder}: {found}; move it, and the others, to where the manifest lists them")
         top, slash, _ = path.partition("/")

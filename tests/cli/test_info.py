@@ -93,13 +93,13 @@ def test_every_dataset_has_its_page(name: str, eldata: Cli) -> None:
 
 
 def test_a_set_with_a_card_alone(eldata: Cli, tmp_path: Path) -> None:
-    outcome = eldata("info", "rawnind", "--json", tmp_path / "x.json")
+    outcome = eldata("info", "lld", "--json", tmp_path / "x.json")
     assert "files      eldata has no list of them, only this card" in outcome.out
-    assert "\nnext\n    list your copy of camera raws: eldata manifest FOLDER -o mine.csv" in outcome.out
+    assert "\nnext\n    list your copy: eldata manifest FOLDER -o mine.csv, or arrays by hand" in outcome.out
     (dataset,) = json.loads((tmp_path / "x.json").read_text())["datasets"]
     assert (dataset["manifest"], dataset["presence"], dataset["verify"]) == (None, None, None)
-    assert_one_line(eldata("download", "rawnind"), "by its card alone", "eldata info rawnind")
-    assert_one_line(eldata("evaluate", tmp_path, "--dataset", "rawnind"), "by its card alone", "eldata info rawnind")
+    assert_one_line(eldata("download", "lld"), "by its card alone", "eldata info lld")
+    assert_one_line(eldata("evaluate", tmp_path, "--dataset", "lld"), "by its card alone", "eldata info lld")
 
 
 # --- protocols --------------------------------------------------------------------------------------------------------

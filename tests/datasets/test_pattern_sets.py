@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import runpy
+import shutil
+import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,27 +18,21 @@ from numpy.typing import NDArray
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata import evaluate
-from eldata.datasets import LLRVDDataset, PairDataset, PMRIDDataset, ReCRVDDataset
+from eldata.datasets import LLRVDDataset, PairDataset, PMRIDDataset, ReCRVDDataset, open_dataset
 from eldata.download.overview import overview
-from eldata.errors import DatasetError, ManifestError, RawFileError
+from eldata.errors import DatasetError, ManifestError, RawFileError, UnusableRawError
 from eldata.evaluation import save_prediction
 from eldata.evaluation.predictions import stem_of
-from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
+from eldata.manifest.catalogue import load_manifest, save_manifest, shipped_manifest
 from eldata.manifest.lock import lock
 from eldata.manifest.patterns import expand
 from eldata.manifest.verify import verify
 from eldata.raw.stated import MosaicFacts, StatedFile
 from eldata.records import FrameRecord
-from tests.pattern_trees import FRAMES, RATIOS, build_llrvd_tree, build_pmrid_tree, build_recrvd_tree
+from tests.pattern_trees import BUILDERS, FRAMES, RATIOS
 
 psnr_of: Any = peak_signal_noise_ratio  # scikit-image has annotations in part only
 ssim_of: Any = structural_similarity
-
-BUILDERS: dict[str, Callable[[Manifest, Path], None]] = {
-    "recrvd": build_recrvd_tree,
-    "llrvd": build_llrvd_tree,
-    "pmrid": build_pmrid_tree,
-}
 
 
 def build(name: str, root: Path) -> Path:
@@ -85,6 +84,27 @@ def test_pmrid_is_what_its_loader_reads(tmp_path: Path) -> None:
     (folder / "Scene1/Dark/exposure-case2/gt.raw").write_bytes(b"\1" * 23_999_998)
     with pytest.raises(RawFileError, match=r"gt.raw: expected 24000000 bytes \(3000 x 4000 pixels\), found 23999998"):
         dataset[1]
+
+
+def test_levels_that_no_text_states_are_asked_for(tmp_path: Path) -> None:
+    """As docs/datasets.md has it, of a copy as the hub makes it."""
+    published, name = shipped_manifest("raw-denoise"), "RAW/noisy/4Card_Gain160_E30_noisy.npy"
+    BUILDERS["raw-denoise"](published, folder := tmp_path / "raw_denoise/sony_IMX678_20240111")
+    asked = "states no colour filter array and neither black nor white level.*state them in the mosaics of its set's"
+    with pytest.raises(UnusableRawError, match=asked):
+        open_dataset("raw-denoise", tmp_path)[0]
+    with pytest.raises(DatasetError, match=asked):
+        evaluate(None, "raw-denoise", baseline="input", root=tmp_path)
+    assert len(problems_of("raw-denoise", tmp_path)) == 4
+    card = replace(published.card, name="mine", mosaics=(MosaicFacts("*.npy", "GRBG", (200.0,), 4095.0),))
+    save_manifest(tmp_path / "mine.csv", card, published.records)
+    (sample, _) = PairDataset(tmp_path / "raw_denoise", tmp_path / "mine.csv", clip="none")
+    red = (np.load(folder / name)[0::2, 1::2].astype(np.float64) - 200) / (4095 - 200)
+    assert np.abs(sample["input"][0].numpy() - red).max() < 1e-6
+    assert verify(tmp_path / "mine.csv", tmp_path, level="full").problems == ()
+    (folder / name.replace("noisy", "gt")).unlink()
+    (problem,) = verify(tmp_path / "mine.csv", tmp_path).problems
+    assert (problem.path, problem.found) == (name.replace("noisy", "gt"), "nothing")
 
 
 # --- protocols, step by step ------------------------------------------------------------------------------------------
@@ -146,6 +166,48 @@ def test_llrvd_scores_are_the_authors(tmp_path: Path) -> None:
     assert (result.protocol.name, result.scored) == ("brve-llrvd", len(RATIOS) * FRAMES)
     assert result.psnr_db == pytest.approx(np.mean(psnr), abs=1e-5)
     assert result.ssim == pytest.approx(np.mean(ssim), abs=1e-6)
+
+
+# --- PMRID's regions in sRGB: examples/pmrid_regions.py against a rewrite of run_benchmark.py and utils.py ------------
+
+WB, CCM = (1.9, 1.0, 1.7), np.array([[1.5, -0.4, -0.1], [-0.2, 1.4, -0.2], [0.0, -0.5, 1.5]])
+ROIS = ((100, 60, 260, 200), (2001, 1501, 2101, 1581), (3900, 2900, 4000, 3000))
+
+
+def demosaic(codes: Any, code: str) -> Any:
+    """In place of OpenCV, which need not be here: colours of an RGGB mosaic's blocks, the greens weighted apart."""
+    assert (code, codes.dtype) == ("BG2RGB_EA", np.uint16)
+    greens = codes[0::2, 1::2] // 4 * 3 + codes[1::2, 0::2] // 4
+    return np.stack([codes[0::2, 0::2], greens, codes[1::2, 1::2]], axis=-1).repeat(2, 0).repeat(2, 1)
+
+
+def render_as_published(bggr: Any) -> list[Any]:
+    """utils.py's bggr2rggb, bayer2rgb and back, of a mosaic (H, W) in [0, 1]: the regions."""
+    bayer = bggr[::-1, ::-1].astype(np.float64)
+    for row, column, gain in ((0, 0, WB[0]), (0, 1, WB[1]), (1, 0, WB[1]), (1, 1, WB[2])):
+        bayer[row::2, column::2] *= gain
+    codes = np.round(bayer.clip(0, 1).astype(np.float32) * 65535).clip(0, 65535).astype(np.uint16)
+    rgb = demosaic(codes, "BG2RGB_EA")[::-1, ::-1].astype(np.float32) / 65535
+    return [(rgb[y0:y1, x0:x1].dot(CCM.T).clip(0, 1) ** (1 / 2.2)).astype(np.float32) for x0, y0, x1, y1 in ROIS]
+
+
+def test_regions_are_scored_as_published(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", SimpleNamespace(COLOR_BAYER_BG2RGB_EA="BG2RGB_EA", cvtColor=demosaic))
+    score_regions = runpy.run_path(str(Path(__file__).parents[2] / "examples/pmrid_regions.py"))["score_regions"]
+    folder, file = build("pmrid", tmp_path), "Scene1/Dark/exposure-case1/input.raw"
+    shutil.rmtree(folder / "Scene1/Dark/exposure-case2")
+    gt = np.fromfile(folder / file.replace("input", "gt"), np.uint16).reshape(3000, 4000).astype(np.float32) / 65535
+    predicted = np.roll(gt, 2, axis=1) * np.float32(1.5) - np.float32(0.05)
+    save_prediction(tmp_path / "preds", file, predicted)
+    (folder / "benchmark.json").write_text("[]")
+    with pytest.raises(DatasetError, match=r"json: expected the regions of .*case1/input.raw, found none"):
+        score_regions(tmp_path / "preds", tmp_path)
+    meta = {"wb_gain": WB, "CCM": CCM.tolist(), "ROIs": ROIS}
+    (folder / "benchmark.json").write_text(json.dumps([{"input": file, "meta": meta}]))
+    scores, images = score_regions(tmp_path / "preds", tmp_path), map(render_as_published, (gt, predicted))
+    for found, *patches in zip(scores, *images, strict=True):
+        expected = psnr_of(*patches, data_range=1), ssim_of(*patches, channel_axis=2, data_range=2)
+        assert found == pytest.approx(expected, abs=1e-6)
 
 
 # --- copies that are not whole ----------------------------------------------------------------------------------------

@@ -42,6 +42,7 @@ SIGNATURES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (datasets.SourcePairs, PAIRED | {"source": NEEDED, "records": NEEDED, "name": "", "levels": "metadata"}),
     (datasets.DRVDataset, WINDOWS | DRV),
     (datasets.PMRIDDataset, PAIRS | {"manifest": "pmrid"}),
+    (datasets.RawNINDDataset, PAIRS | {"manifest": "rawnind"}),
     *((kind, WINDOWS | CRVD) for kind in (datasets.CRVDDataset, datasets.ReCRVDDataset, datasets.LLRVDDataset)),
     (datasets.PackedClips, WINDOWS | PACKED | {"path": NEEDED, "dynamic": False}),
     (datasets.SyntheticPairs, NOISE | {"crops_per_frame": 1}),

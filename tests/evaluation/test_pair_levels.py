@@ -121,12 +121,13 @@ def test_which_white_levels_are_two_of_one_scale(noisy: MeanLevels, reference: M
 def test_of_files_that_state_no_levels_one_of_each_iso_is_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
     """As of CR2, NEF and ARW, whose white level only LibRaw tells, once it has decoded them."""
     case = "white-by-iso"
-    records = sort_own_set(FIELD / case, case).records
+    own = sort_own_set(FIELD / case, case)
+    records, cameras = own.records, own.card.cameras
     noisy = [replace(records[1], path=path) for path in (NOISY, "hall/lost.CR2")]
     decode = Mock(wraps=read_raw)
     monkeypatch.setattr("eldata.raw.reading.read_raw", decode)
     levels_dn = dict.fromkeys((records[0].path, NOISY, "hall/lost.CR2"))
-    (said,) = white_remarks([records[0], *noisy], levels_dn, FrameFiles(FIELD / case), Workers(1))
+    (said,) = white_remarks([records[0], *noisy], levels_dn, cameras, FrameFiles(FIELD / case), Workers(1))
     assert (said.path, said.files) == (NOISY, 2)
     assert CASES[case][3] in said.text
     assert sorted(call.args[0].name for call in decode.call_args_list) == ["IMG_0001.dng", "IMG_0002.dng"]

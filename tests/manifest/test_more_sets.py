@@ -18,7 +18,7 @@ from eldata.manifest.pairs import Choice
 from manifests.published_lrid import bursts_from_infos
 from tests.bait import Bait
 
-ALONE = ("aim25", "aim25-video", "fivek", "lld", "mipi24", "raw-denoise", "rawnind", "sidd-cc")
+ALONE = ("aim25", "aim25-video", "fivek", "lld", "mipi24", "sidd-cc")
 
 
 # --- LRID -------------------------------------------------------------------------------------------------------------

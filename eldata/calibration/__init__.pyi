@@ -12,7 +12,6 @@ from .defects import fixed_pattern as fixed_pattern
 from .flats import FlatPairs as FlatPairs
 from .flats import PhotonTransfer as PhotonTransfer
 from .flats import photon_transfer as photon_transfer
-from .flats import spatial_photon_transfer as spatial_photon_transfer
 from .frames import FramesError as FramesError
 from .held_out import Reproduction as Reproduction
 from .held_out import reproduction as reproduction

@@ -284,8 +284,8 @@ class MeasuredFigure:
 class IsoGain:
     """What the flats of one ISO give; all that there is without bias frames.
 
-    ``transfer`` and ``spatial`` are what the estimators found, whatever the frames are like. What of it is given, and
-    with which error, are ``gain``, ``channel_gains`` and ``spatial_gain``.
+    ``transfer`` is what the estimator found, whatever the frames are like. What of it is given, and with which error,
+    are ``gain`` and ``channel_gains``.
 
     Attributes
     ----------
@@ -297,8 +297,6 @@ class IsoGain:
         How many of its pairs were summed up; without ``transfer`` none of them could be used.
     transfer
         Photon transfer from pairs of flats; ``None`` without flats of this ISO, or where no line can be found.
-    spatial
-        The published single-frame method on the same flats, for comparison; ``None`` where it is not available.
     remarks
         What else a person should know before believing these figures.
     findings
@@ -313,7 +311,6 @@ class IsoGain:
     sensor: Sensor
     flat_frames: int = 0
     transfer: PhotonTransfer | None = None
-    spatial: PhotonTransfer | None = None
     remarks: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     stated_gain_dn_per_e: float | None = None
@@ -399,18 +396,13 @@ class IsoGain:
         return tuple(filter(None, gains)) or None
 
     @property
-    def spatial_gain(self) -> MeasuredFigure | None:
-        """K by the published single-frame method [DN/e-], for comparison."""
-        return self._judge_gain(self.spatial)
-
-    @property
     def gain_text(self) -> str:
         """K with its error as tables show it: "-" if it was never measured, "withheld" if that is not given."""
         return self.gain.text if self.gain is not None else "withheld" if "gain" in self.withheld else "-"
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure with its standard error as JSON types; ``None``: withheld, or not finite."""
-        gain, channel_gains, spatial = self.gain, self.channel_gains, self.spatial_gain
+        gain, channel_gains = self.gain, self.channel_gains
         data = {
             "iso": self.iso,
             "black_level_dn": self.sensor.black_level_dn,
@@ -420,7 +412,6 @@ class IsoGain:
             "gain_error": None if gain is None else gain.error,
             "gain_is_stated": gain is not None and gain.is_stated,
             "gain_by_channel": None if channel_gains is None else [channel.value for channel in channel_gains],
-            "gain_spatial_dn_per_e": None if spatial is None else spatial.value,
             "withheld": {quantity: self.why(quantity) for quantity in SYMBOLS if quantity in self.withheld},
             "findings": [asdict(finding) for finding in self.findings],
             "remarks": list(self.all_remarks),

@@ -31,7 +31,6 @@ from eldata.records import Sensor
 from tests.baselines.travelling import Travelling
 from tests.calibration.draws import drawn_noise
 from tests.calibration.simulation import XTRANS
-from tests.cases import in_one_test
 from tests.shared import there
 
 ISOS = (100, 400, 1600)
@@ -124,28 +123,6 @@ def test_the_table_of_errors_is_found_less_true(demo: tuple[Path, Calibration, s
         offsets = zip(one.bias.bias_dn, true["colour_bias_with_pattern_dn"], strict=True)
         largest = max((value - known for value, known in offsets), key=abs)
         assert float(row[6]) == pytest.approx(largest, abs=6e-4)
-
-
-OFF = {
-    "shading": {"bias_shading_dn": 0.0, "vignetting": 0.0},
-    "hot-pixels": {"hot_share": 0.0},
-    "fixed-pattern": {"prnu": 0.0, "dsnu_dn": 0.0, "column_pattern_dn": 0.0},
-}
-
-
-@in_one_test("without", [["shading"], ["hot-pixels"], ["fixed-pattern"], list(OFF)])
-def test_without(without: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each option switches off what its name says, and no more."""
-    asked: list[FixedFeatures] = []
-    monkeypatch.setattr(
-        eldata.demo.calibration, "run_calibration_demo", lambda *_, features, **__: asked.append(features)
-    )
-    options = [word for name in without for word in ("--without", name)]
-    assert main(["demo", str(tmp_path / "x"), "--calibration", *options]) == 0
-    off = {field: value for name in without for field, value in OFF[name].items()}
-    assert asked == [replace(DEMO_FEATURES, **off)]
-    if len(without) == len(OFF):
-        assert asked == [FixedFeatures()]
 
 
 # --- the frames, and the truth beside them ----------------------------------------------------------------------------

@@ -121,7 +121,7 @@ def test_colours_of_which_the_file_states_nothing_are_libraws(tmp_path: Path) ->
     raw.raw_pattern, raw.raw_color = np.zeros((2, 2)), lambda y, x: ((0, 1), (3, 2))[y % 2][x % 2]
     assert visible_cfa(tmp_path, raw, None) == (BAYER["GBRG"], (0, 1, 2, 3))
     raw.color_desc = b"RGBE"
-    check_refused(tmp_path, r"array: RGBE \(with emerald sites\), 2 x 2", lambda path: visible_cfa(path, raw, None))
+    check_refused(tmp_path, "array: 2 x 2 sites of BEGR", lambda path: visible_cfa(path, raw, None))
     raw.raw_pattern = None
     check_refused(tmp_path, "array: 0 x 0 sites", lambda path: visible_cfa(path, raw, None))
 

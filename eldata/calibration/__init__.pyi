@@ -23,7 +23,6 @@ from .residuals import ReadNoise as ReadNoise
 from .residuals import ppcc as ppcc
 from .residuals import probability_plot as probability_plot
 from .residuals import read_noise as read_noise
-from .residuals import single_frame_plot as single_frame_plot
 from .results import Calibration as Calibration
 from .shading_fit import ShadingFit as ShadingFit
 from .shading_fit import dark_shading as dark_shading

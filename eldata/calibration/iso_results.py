@@ -440,8 +440,6 @@ class IsoCalibration(IsoGain):
         Read noise, and quantiles of the residuals for the probability plots; ``None`` where values end at a floor.
     pattern
         What stays from frame to frame.
-    single_frame
-        R^2 as the paper takes it, against Tukey lambda and normal, and lambda; ``None`` if it was not.
     spectrum_dn2
         (256, 256) power spectrum of a bias frame less its channels' means, zero frequency in the centre, averaged over
         tiles of 256 x 256 pixels; white noise of variance s^2 gives s^2 throughout.
@@ -463,7 +461,6 @@ class IsoCalibration(IsoGain):
     pattern: PatternSummary
     spectrum_dn2: Plane = field(repr=False)
     reproduction: Reproduction | None = None
-    single_frame: tuple[float, float, float] | None = None
     stepped: ReadNoise | None = None
     quantisation_step_dn: float = 1.0
 
@@ -471,8 +468,8 @@ class IsoCalibration(IsoGain):
     def figures(self) -> dict[str, MeasuredFigure]:
         """The figures of the dark by name, in the order of JSON; one that is withheld says why.
 
-        Of the read noise (Wei et al., TPAMI 2021, section 3.2.1, figure 7), as published beside it, and of the row
-        noise (figures 5 and 6). Where values end at a floor, there is no read noise.
+        Of the read noise (Wei et al., TPAMI 2021, section 3.2.1, figure 7) and of the row noise (figures 5 and 6).
+        Where values end at a floor, there is no read noise.
         """
         read, rows, columns = self.read, self.rows.rows, self.rows.columns
 
@@ -484,7 +481,6 @@ class IsoCalibration(IsoGain):
             """Make the figure sigma of the row or the column noise."""
             return MeasuredFigure(name, label, noise.sigma_dn, noise.sigma_error_dn, unit="DN")
 
-        of_frame, of_normal, _ = self.single_frame or (math.nan,) * 3
         plain: dict[str, Any] = {"decimals": 5}
         figures = (
             self.judge("shape", of_read("lambda", "tukey_lambda", "tukey_lambda_error"), 1.0),
@@ -494,8 +490,6 @@ class IsoCalibration(IsoGain):
             self.judge("shape", of_read("sigma_TL, PPCC", "ppcc_sigma_tl_dn", unit="DN", **plain)),
             of_read("R2 TL", "r_squared_tl", **plain),
             of_read("R2 G", "r_squared_gauss", **plain),
-            MeasuredFigure("single_frame_r_squared_tl", "R2 TL as published", of_frame, **plain),
-            MeasuredFigure("single_frame_r_squared_gauss", "R2 G as published", of_normal, **plain),
             replace(of_read("chi2", "chi2_per_dof", **plain), name="read_chi2_per_dof"),
             self.judge("row noise", of_lines("sigma_row", "sigma_row_dn", rows)),
             MeasuredFigure("row_shapiro_p", "Shapiro-Wilk p", rows.shapiro_p, **plain),

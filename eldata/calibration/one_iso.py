@@ -21,7 +21,7 @@ from eldata.calibration.flats import FlatPairs, photon_transfer
 from eldata.calibration.frames import FrameReader, FramesError, IsoFrames, measure_frame, measure_pair, unequal_pair
 from eldata.calibration.held_out import compared_piece, reproduction
 from eldata.calibration.iso_results import IsoCalibration, IsoGain, accept_findings, fill_sentence
-from eldata.calibration.residuals import probability_plot, read_noise, single_frame_plot
+from eldata.calibration.residuals import probability_plot, read_noise
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
 from eldata.raw.container import lossy_compression
@@ -129,7 +129,6 @@ def _measure_all(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     for source, frame in reader.read(estimated):
         if source == estimated[0]:
             spectrum = power_spectrum(frame.mosaic, fixed)
-            single = None if fixed.clips_at_black else single_frame_plot(frame.mosaic, fixed)
         in_threads(methodcaller("add", frame.mosaic), [sums, pairs], reader.workers.jobs)
         del frame
     reader.refuse()
@@ -153,7 +152,6 @@ def _measure_all(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
         bias_frames=len(estimated),
         pattern=fixed.summary,
         spectrum_dn2=spectrum,
-        single_frame=single,
         stepped=None if residuals is None else checks.read_noise_in_steps(residuals, step),
         **estimates,
     )

@@ -42,8 +42,6 @@ _READ_NOISE = {
     "read_chi2_per_dof": "χ² per d.o.f.",
     "r_squared_tl": "R², Tukey lambda",
     "r_squared_gauss": "R², Gaussian",
-    "single_frame_r_squared_tl": "R² as published, Tukey lambda",
-    "single_frame_r_squared_gauss": "R² as published, Gaussian",
 }
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from capture.capture_errors import ImpossibleShotError
 from capture.observed import format_f_number
-from capture.shots import WARM, ScenePlan, Shot, format_minutes, plan_shots
+from capture.shots import ScenePlan, Shot, format_minutes, plan_shots
 from eldata.base.fields import shipped_toml
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
@@ -29,7 +29,7 @@ __all__ = ["FORMATS", "html_checklist", "markdown_checklist", "plan_digest", "te
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
 _WORDS = TEMPLATES / "checklist.toml"
-_TITLES: Final = {"bias": "Bias frames", "flats": "Flat-field frames", WARM: "With the sensor warm, after the shooting"}
+_TITLES: Final = {"bias": "Bias frames", "flats": "Flat-field frames"}
 _LONGEST_TEXT: Final = 500  # characters of a file's name or a remark
 _MOST_REPEATS: Final = 99
 _TO_BE_TIMED_S: Final = 1  # shorter exposures are over before a button is pressed
@@ -69,8 +69,6 @@ class ChecklistRow:
             words = f"noisy x{self.shot.factor}"
         if self.shot.level is not None:
             words = f"flat {float(100 * self.shot.level):.0f} %"
-        if self.shot.series:
-            words = f"{self.shot.series} {words}"
         return words if self.count == 1 else f"{words}, {self.count} frames"
 
 
@@ -79,7 +77,7 @@ def make_rows(shots: Iterable[Shot]) -> tuple[ChecklistRow, ...]:
 
     def settings(shot: Shot) -> tuple[object, ...]:
         """List the settings that shots of one row share."""
-        return shot.role, shot.iso, shot.setting.dial, shot.factor, shot.reference, shot.level, shot.series
+        return shot.role, shot.iso, shot.setting.dial, shot.factor, shot.reference, shot.level
 
     groups = [list(group) for _, group in groupby(shots, key=settings)]
     return tuple(ChecklistRow(group[0], len(group)) for group in groups)
@@ -87,7 +85,7 @@ def make_rows(shots: Iterable[Shot]) -> tuple[ChecklistRow, ...]:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationPart:
-    """Calibration frames of one kind: ``"bias"``, ``"flats"`` or ``"warm"``, with what to do before."""
+    """Calibration frames of one kind: ``"bias"`` or ``"flats"``, with what to do before."""
 
     kind: str
     title: str
@@ -104,7 +102,7 @@ def calibration_parts(plan: Plan) -> tuple[CalibrationPart, ...]:
     """Return the plan's calibration frames by kind, in the order in which they are taken."""
     kinds: dict[str, list[Shot]] = {}
     for shot in () if plan.calibration is None else plan.calibration.shots:
-        kinds.setdefault("flats" if shot.role == "flat" else shot.series or "bias", []).append(shot)
+        kinds.setdefault("flats" if shot.role == "flat" else "bias", []).append(shot)
     return tuple(
         CalibrationPart(kind, _TITLES[kind], read_items(kind, plan), tuple(shots)) for kind, shots in kinds.items()
     )

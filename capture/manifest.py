@@ -17,13 +17,12 @@ from typing import IO, TYPE_CHECKING, Final, Literal
 from capture.capture_errors import CaptureError
 from capture.matching import can_be
 from capture.plan import CALIBRATION, Plan
-from capture.shots import WARM, Shot
 from eldata.base.files import atomic_write, naming_file, sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, load_card, own_card, title_of_set
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
-from eldata.manifest.pairs import UNCERTAIN_ISO, WARM_SENSOR
+from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.table import load_records
 from eldata.records import FrameRecord
 
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
 
     from capture.matching import Match, Slot
     from capture.observed import ObservedFrame
+    from capture.shots import Shot
 
 _PIECE: Final = 1 << 20
 
@@ -73,12 +73,8 @@ class Dataset:
 
 
 def layout_path(plan: Plan, scene: str, shot: Shot, suffix: str = "") -> str:
-    """Return a shot's path in the dataset: ``<camera>/scene-1/IMG_0004.ARW``, ``<camera>/bias/ISO100/IMG_0001.ARW``.
-
-    Bias frames of a warm sensor are kept apart, in a folder that ``eldata calibrate`` takes as it is:
-    ``<camera>/warm/bias/ISO800/IMG_0133.ARW``.
-    """
-    place = "/".join(filter(None, (shot.series, shot.role, f"ISO{shot.iso}"))) if scene == CALIBRATION else scene
+    """Return a shot's path in the dataset: ``<camera>/scene-1/IMG_0004.ARW``, ``<camera>/bias/ISO100/IMG_0001.ARW``."""
+    place = f"{shot.role}/ISO{shot.iso}" if scene == CALIBRATION else scene
     return f"{plan.camera.name}/{place}/IMG_{shot.number:04d}{suffix}"
 
 
@@ -154,10 +150,10 @@ def _make_record(
     plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str, reference: str | None
 ) -> FrameRecord:
     """Make the manifest's row of a shot's frame, with exact ratio and flags."""
-    flags = [WARM_SENSOR] if shot.series == WARM else []
+    flags: tuple[str, ...] = ()
     if shot.true_iso is not None and shot.named_ratio is not None and shot.factor is not None:
         # Names of ISOs say another ratio than measured speeds.
-        flags += [UNCERTAIN_ISO] if abs(shot.named_ratio - shot.factor) > RATIO_TOLERANCE * shot.factor else []
+        flags = (UNCERTAIN_ISO,) if abs(shot.named_ratio - shot.factor) > RATIO_TOLERANCE * shot.factor else ()
     return FrameRecord(
         path=path,
         role=shot.role,
@@ -168,7 +164,7 @@ def _make_record(
         exposure_s=frame.exposure_s,
         ratio=None if shot.factor is None else Fraction(shot.factor),
         reference=reference,
-        flags=tuple(flags),
+        flags=flags,
     )
 
 

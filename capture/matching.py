@@ -155,7 +155,7 @@ def list_blocks(plan: Plan) -> tuple[ShotBlock, ...]:
     blocks = [ShotBlock(scene.name, scene.name, scene.shots) for scene in plan.scenes]
     groups: dict[str, list[Shot]] = defaultdict(list)
     for shot in () if plan.calibration is None else plan.calibration.shots:
-        groups[f"{shot.role} frames of ISO {shot.iso}{f' ({shot.series})' if shot.series else ''}"].append(shot)
+        groups[f"{shot.role} frames of ISO {shot.iso}"].append(shot)
     return (*blocks, *(ShotBlock(CALIBRATION, title, tuple(shots)) for title, shots in groups.items()))
 
 

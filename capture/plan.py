@@ -257,7 +257,6 @@ def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
         "bias_frames": calibration.bias_frames,
         "flat_levels": list(map(str, calibration.flat_levels)),
         "flat_clips_at_s": str(calibration.flat_clips_at_s),
-        "warm": calibration.warm,
         "shots": list(map(_shot_as_dict, calibration.shots)),
     }
 
@@ -278,7 +277,6 @@ def _shot_as_dict(shot: Shot) -> dict[str, Any]:
         "true_ratio": shot.true_ratio,
         "level": shot.level and str(shot.level),
         "true_iso": shot.true_iso and float(shot.true_iso),
-        "series": shot.series or None,
     }
     return {name: value for name, value in content.items() if value is not None}
 
@@ -306,7 +304,7 @@ def _read_scene(fields: Fields, camera: CameraDescription, protocol: CaptureProt
 
 def _read_calibration(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> CalibrationPlan:
     """Read the calibration frames from a JSON object; refuse shots that are not as computed."""
-    fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "warm", "shots"))
+    fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "shots"))
     calibration = plan_calibration(
         camera,
         protocol.base_iso,
@@ -314,7 +312,6 @@ def _read_calibration(fields: Fields, camera: CameraDescription, protocol: Captu
         fields.parsed("flat_clips_at_s", parse_seconds),
         bias_frames=fields.whole("bias_frames"),
         flat_levels=fields.each("flat_levels", Fields.parsed, parse=parse_seconds),
-        warm=fields.flag("warm"),
     )
     _check_shots(fields, calibration.shots)
     return calibration

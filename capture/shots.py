@@ -10,7 +10,6 @@ Calibration frames are bias frames, and flat-field frames in pairs, for each ISO
   after the other, since the difference of two equal frames is free of shading and fixed pattern (EMVA 1288). Six levels
   from a tenth to nine tenths of the range (docs/calibration.md: four to eight; EMVA 1288 asks for many more, to test
   linearity, where we want a slope).
-- A warm sensor: bias frames once more after the shooting, since black follows the temperature.
 - ISOs: full stops from the base ISO to the highest noisy one, since a camera with two conversion gains changes its
   noise at one of them.
 """
@@ -62,8 +61,6 @@ class Shot:
         Of a flat: wanted mean, as a share of the range over black.
     true_iso
         The ISO's measured speed, where the camera's description states it.
-    series
-        Of calibration frames besides the usual ones, the folder that keeps them apart: ``warm``.
     """
 
     number: int
@@ -77,7 +74,6 @@ class Shot:
     named_ratio: Fraction | None = None
     level: Fraction | None = None
     true_iso: Fraction | None = None
-    series: str = ""
 
     @property
     def settings(self) -> str:
@@ -312,7 +308,6 @@ def plan_scene(
 BIAS_FRAMES: Final = 10
 LEAST_BIAS_FRAMES: Final = 4  # below, eldata calibrate refuses
 _MOST_FRAMES: Final = 999  # more is a slip of the keys, and would be planned until memory ends
-WARM: Final = "warm"
 FRAMES_PER_LEVEL: Final = 2
 _NAME_STOPS: Final = 0.1  # by which an ISO's name may lie off a full stop: neighbours are a third of a stop apart
 _NEAR_STOPS: Final = 0.5
@@ -339,8 +334,6 @@ class CalibrationPlan:
         Bias frames of all ISOs, then, cap off, the flats of all ISOs by rising exposure.
     remarks
         What the plan had to leave out.
-    warm
-        Whether bias frames are taken once more, with the sensor warm from the shooting.
     """
 
     isos: tuple[int, ...]
@@ -349,7 +342,6 @@ class CalibrationPlan:
     flat_clips_at_s: Fraction
     shots: tuple[Shot, ...]
     remarks: tuple[str, ...] = ()
-    warm: bool = False
 
 
 def choose_isos(camera: CameraDescription, protocol: CaptureProtocol) -> tuple[int, ...]:
@@ -370,9 +362,9 @@ def choose_isos(camera: CameraDescription, protocol: CaptureProtocol) -> tuple[i
 
 def plan_calibration(
     camera: CameraDescription, base_iso: int, isos: tuple[int, ...], flat_clips_at_s: Fraction, *,
-    bias_frames: int = BIAS_FRAMES, flat_levels: tuple[Fraction, ...] = FLAT_LEVELS, warm: bool = False,
+    bias_frames: int = BIAS_FRAMES, flat_levels: tuple[Fraction, ...] = FLAT_LEVELS,
 ) -> CalibrationPlan:  # fmt: skip
-    """Return the calibration frames of a camera: bias frames, flats, and bias frames with a warm sensor.
+    """Return the calibration frames of a camera: bias frames and flats.
 
     Raises
     ------
@@ -405,8 +397,7 @@ def plan_calibration(
     named = camera.find_marked(flat_clips_at_s)
     clips_at = float(flat_clips_at_s) if named is None else named.true_s  # what the camera gives for it
     fastest = camera.fastest
-    capped = [Shot(0, "bias", iso, fastest.nominal_s, fastest) for iso in isos for _ in range(bias_frames)]
-    shots += capped
+    shots += [Shot(0, "bias", iso, fastest.nominal_s, fastest) for iso in isos for _ in range(bias_frames)]
     for iso in isos:
         taken: list[Fraction] = []
         for level in flat_levels:
@@ -421,11 +412,8 @@ def plan_calibration(
                 continue
             taken.append(setting.nominal_s)
             shots += [Shot(0, "flat", iso, target_s, setting, level=level)] * FRAMES_PER_LEVEL
-    # Behind the others, which so keep their numbers when these are added to a plan that is being shot.
-    if warm:
-        shots += (replace(shot, series=WARM) for shot in capped)
     numbered = tuple(replace(shot, number=number) for number, shot in enumerate(shots, 1))
-    return CalibrationPlan(isos, bias_frames, flat_levels, flat_clips_at_s, numbered, tuple(remarks), warm)
+    return CalibrationPlan(isos, bias_frames, flat_levels, flat_clips_at_s, numbered, tuple(remarks))
 
 
 def _choose_flat_setting(

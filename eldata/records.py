@@ -1,21 +1,21 @@
 """Frozen records that every part of the package speaks in. Units stand in the field names.
 
-Numbers that EXIF states as fractions stay :class:`fractions.Fraction`, those that arrays are computed with floats that
-know their fraction (:class:`ExactFloat`); "not known" is ``None``.
+Numbers that EXIF states as fractions stay :class:`fractions.Fraction`, those that arrays are computed with are floats;
+"not known" is ``None``.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, is_dataclass
-from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from eldata.errors import RawFileError, UnusableRawError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from datetime import datetime
+    from fractions import Fraction
     from pathlib import Path
 
     import numpy as np
@@ -29,50 +29,9 @@ Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[fl
 D65 = 21  # as EXIF numbers sources of light
 
 
-class ExactFloat(float):
-    """The float nearest to a fraction, which it knows: computes like any float, and is written to files exactly.
-
-    It equals, prints and rounds as that float; arithmetic gives plain floats. :func:`exact_fraction` tells the
-    fraction, :func:`exact_number` makes one where a plain float would not do.
-    """
-
-    __slots__ = ("fraction",)
-    fraction: Fraction
-
-    def __new__(cls, fraction: Fraction) -> Self:
-        """Return the nearest float; OverflowError if there is none."""
-        number = super().__new__(cls, fraction)
-        number.fraction = fraction
-        return number
-
-    def __reduce__(self) -> tuple[type[ExactFloat], tuple[Fraction]]:
-        return ExactFloat, (self.fraction,)  # for copies and other processes
-
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
-        # numpy lets a float32 array stay one beside a plain float, but not beside an object of a subclass.
-        plain = (float(value) if isinstance(value, ExactFloat) else value for value in inputs)
-        return getattr(ufunc, method)(*plain, **options)
-
-
-def exact_number(fraction: Fraction) -> float:
-    """Return a float from which :func:`exact_fraction` gives this fraction back: a plain one if it can."""
-    number = float(fraction)
-    return number if exact_fraction(number) == fraction else ExactFloat(fraction)
-
-
-def exact_fraction(number: float) -> Fraction:
-    """Return the fraction that a finite number stands for.
-
-    That of an :class:`ExactFloat`; of any other float the decimal number that it prints as: 2.1 is 21/10.
-    """
-    return number.fraction if isinstance(number, ExactFloat) else Fraction(repr(float(number)))
-
-
 @dataclass(frozen=True, slots=True)
 class Sensor:
     """What a raw file says about the sensor that took it.
-
-    Levels, white balance and matrix are floats that keep the file's fractions (:func:`exact_fraction`).
 
     Attributes
     ----------

@@ -111,15 +111,6 @@ def test_each_python_of_the_classifiers_is_tested() -> None:
     assert jobs["newest"]["steps"][1]["with"]["python-version"] == f"3.{stated[-1]}"
 
 
-def test_hooks_fetch_nothing() -> None:
-    (repository,) = parsed(ROOT / ".pre-commit-config.yaml")["repos"]
-    assert repository["repo"] == "local"
-    for hook in repository["hooks"]:
-        assert {"id", "name", "entry"} <= set(hook)
-        assert hook["language"] == "system"
-        assert hook["entry"].split("/")[0] == ".venv" or hook["entry"].split()[0] == "git"
-
-
 # --- versions -----------------------------------------------------------------------------------------------------
 
 
@@ -163,20 +154,6 @@ def test_floors_are_those_of_what_eldata_runs_with() -> None:
     assert {"numpy", "torch", "rawpy", "dask", "py7zr"} <= set(floors)
     assert not floors.keys() & {"pytest", "mypy", "ruff"}, "tools of the extra dev"
     assert {f"{name}>={floor}" for name, floor in floors.items()} >= set(PROJECT["project"]["dependencies"])
-
-
-@pytest.mark.parametrize(
-    ("requirement", "extra", "words"),
-    [
-        ("numpy>=2.1,<3", "h5py>=3", "'numpy>=2.1,<3'"),
-        ("numpy", "h5py>=3", "'numpy'"),
-        ("numpy>=2.1", "numpy>=2.2", r"numpy has two floors, 2\.1 and 2\.2"),
-    ],
-)
-def test_what_is_not_a_floor_is_refused(requirement: str, extra: str, words: str) -> None:
-    text = f'[project]\ndependencies = ["{requirement}"]\noptional-dependencies = {{ a = ["{extra}"] }}\n'
-    with pytest.raises(ValueError, match=words):
-        script("lowest").floors(text)
 
 
 # --- documents and the source archive -----------------------------------------------------------------------------

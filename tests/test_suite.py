@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from tests.cases import in_one_test
-from tests.shared import made_once
 
 ROOT = Path(__file__).parents[1]
 
@@ -42,21 +41,3 @@ def test_a_case_that_fails_is_named() -> None:
     with pytest.raises(AssertionError) as caught:
         check()
     assert caught.value.__notes__ == ["in the case a='y', b=2", "in the case number=2"]
-
-
-def test_a_shared_folder_is_made_once_and_not_to_be_changed(tmp_path_factory: pytest.TempPathFactory) -> None:
-    made = []
-
-    def make(folder: Path) -> None:
-        made.append(folder)
-        folder.mkdir()
-        (folder / "file").write_text("as made")
-
-    name = f"of-{tmp_path_factory.mktemp('own').name}-{id(made)}"  # nobody else's, in any worker process
-    for _ in range(2):
-        with made_once(tmp_path_factory, name, make) as folder:
-            assert (folder / "file").read_text() == "as made"
-    assert len(made) == 1
-    refused = pytest.raises(pytest.fail.Exception, match=r"a test changed .*, which is shared: file; let it")
-    with refused, made_once(tmp_path_factory, name, make) as folder:
-        (folder / "file").write_text("as spoilt")

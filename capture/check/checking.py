@@ -11,7 +11,7 @@ from capture.check.scene import check_scene
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.catalogue import Manifest, load_manifest
-from eldata.manifest.pairs import WARM_SENSOR, filter_rows
+from eldata.manifest.pairs import filter_rows
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -85,6 +85,5 @@ def check_unit(unit: Unit) -> CheckedGroup:
 def _name_unit(record: FrameRecord) -> str:
     """Name the unit of a row: camera and scene, or camera, role and ISO."""
     if record.role in ("bias", "flat"):
-        name = f"{record.camera} {record.role} ISO {'?' if record.iso is None else f'{float(record.iso):g}'}"
-        return f"{name} {WARM_SENSOR}" if WARM_SENSOR in record.flags else name
+        return f"{record.camera} {record.role} ISO {'?' if record.iso is None else f'{float(record.iso):g}'}"
     return f"{record.camera} {record.scene}".rstrip()

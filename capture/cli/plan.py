@@ -68,7 +68,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     isos = "ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)"
     add("--calibration-isos", type=whole, nargs="+", metavar="ISO", help=isos)
     add("--bias-frames", type=whole, metavar="N", help="bias frames per ISO (default: 10)")
-    add("--warm", action="store_true", help="bias frames a second time, with the sensor warm from the shooting")
     add_output(parser, "-o", "--output", help="the new plan's file; with PLAN: write the changes there")
     add_shared(parser, run, json=True)
 
@@ -184,7 +183,7 @@ def _plan_calibration(
 ) -> CalibrationPlan | None:
     """Plan the calibration frames that are asked for."""
     if not arguments.calibration:
-        for name in ("flat_clips_at", "calibration_isos", "bias_frames", "warm"):
+        for name in ("flat_clips_at", "calibration_isos", "bias_frames"):
             if getattr(arguments, name):
                 raise ArgumentError(f"--{name.replace('_', '-')} goes with --calibration")
         return None
@@ -199,7 +198,6 @@ def _plan_calibration(
         tuple(sorted(arguments.calibration_isos or choose_isos(camera, protocol))),
         arguments.flat_clips_at,
         bias_frames=arguments.bias_frames or BIAS_FRAMES,
-        warm=arguments.warm,
     )
 
 
@@ -261,7 +259,7 @@ def _format_shots(shots: Sequence[Shot]) -> str:
         shot, error = row.shot, row.shot.ratio_error
         cells = {
             "frame": row.numbers,
-            "role": f"{shot.series} {shot.role}".lstrip(),
+            "role": shot.role,
             "ISO": format_cell(shot.iso),
             "true ISO": format_cell(shot.true_iso and float(shot.true_iso), "{:g}"),
             "level": format_cell(shot.level and float(100 * shot.level), "{:.0f} %"),

@@ -272,32 +272,6 @@ def _check_h5(dataset: h5py.Dataset) -> None:
     written = dataset.id.get_num_chunks()
     if written != expected:
         raise ValueError(f"{written} of its {expected} chunks were written")
-    offsets: list[tuple[int, ...]] = []
-    dataset.id.chunk_iter(lambda chunk: offsets.append(chunk.chunk_offset))  # once: one by one is quadratic
-    for offset in offsets:
-        length = _decoded_length(dataset, offset, chunk_bytes)
-        if length is not None and length < chunk_bytes:  # HDF5 gives whatever memory holds behind them
-            raise ValueError(f"a chunk holds {length} of its {chunk_bytes} bytes")
-
-
-def _decoded_length(dataset: h5py.Dataset, offset: tuple[int, ...], most: int) -> int | None:
-    """Count the bytes of a chunk, which are ``most`` at most, without its filters; ``None`` if one is not known."""
-    import h5py
-    import imagecodecs  # its libdeflate takes two thirds of zlib's time
-
-    pipeline = dataset.id.get_create_plist()
-    skipped, data = dataset.id.read_direct_chunk(offset)
-    for number in reversed(range(pipeline.get_nfilters())):
-        code = pipeline.get_filter(number)[0]
-        if skipped >> number & 1 or code == h5py.h5z.FILTER_SHUFFLE:
-            continue
-        if code == h5py.h5z.FILTER_DEFLATE:
-            data = imagecodecs.deflate_decode(data, out=most)
-        elif code == h5py.h5z.FILTER_FLETCHER32:
-            data = data[:-4]
-        else:
-            return None
-    return len(data)
 
 
 def _read_mat(path: Path, name: str) -> Generator[Any, None, None]:

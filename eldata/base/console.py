@@ -7,13 +7,14 @@ the reader of the output left before its end (head, less).
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import signal
 import sys
 import tempfile
 import threading
 import traceback
-from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
@@ -277,23 +278,6 @@ def _is_same_file(path: Path, other: str | Path) -> bool:
         return False
 
 
-class Screen:
-    """A stream on which strangers' names steer no terminal, and that lacks no character."""
-
-    def __init__(self, stream: Any, *, has_bars: bool = False) -> None:
-        self._stream, self._has_bars = stream, has_bars
-
-    def write(self, text: str) -> int:
-        """Write the text with invisible or unencodable characters as numbers."""
-        start = "\r" if self._has_bars and text.startswith("\r") else ""  # progress bars begin their line again
-        encoding = getattr(self._stream, "encoding", None) or "utf-8"
-        self._stream.write(start + visible(text[len(start) :]).encode(encoding, "backslashreplace").decode(encoding))
-        return len(text)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-
 # --- running ----------------------------------------------------------------------------------------------------------
 
 
@@ -307,20 +291,20 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
         sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
     # What is there already, a parser's own default does not replace.
     arguments = argparse.Namespace(debug=False, command=parser.prog)
-    out: Any = Screen(sys.stdout)
-    err: Any = Screen(sys.stderr, has_bars=True)
-    with redirect_stdout(out), redirect_stderr(err):
-        try:
-            with _terminable():
-                code = _parse_and_run(parser, argv, arguments)
-                sys.stdout.flush()
-        except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
-            if arguments.debug:
-                traceback.print_exception(error)
-            code, message = _explain(error, arguments)
-            if message:
-                with suppress(OSError):  # stderr is full or closed: the code has to do
-                    print(f"{arguments.command}: {' '.join(visible(message).split())}", file=sys.stderr)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of files may be no text
+    try:
+        with _terminable():
+            code = _parse_and_run(parser, argv, arguments)
+            sys.stdout.flush()
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
+        if arguments.debug:
+            traceback.print_exception(error)
+        code, message = _explain(error, arguments)
+        if message:
+            with suppress(OSError):  # stderr is full or closed: the code has to do
+                print(f"{arguments.command}: {' '.join(visible(message).split())}", file=sys.stderr)
     return code
 
 

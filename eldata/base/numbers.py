@@ -22,6 +22,7 @@ Number = TypeVar("Number", int, float, Fraction)
 LARGEST_WHOLE: Final = 2**63 - 1
 # In a whole number, and in either part of a fraction. The time that longer ones cost grows with their square.
 _MOST_DIGITS: Final = 40
+_MOST_PARTS: Final = 10**6  # of a number that people or cameras write
 _LARGEST_FLOAT: Final = sys.float_info.max
 _FRACTION: Final = re.compile(r"(?P<whole>[0-9]+)(?:\.(?P<tenths>[0-9]+))?(?:/(?P<divisor>[0-9]+))?")
 _WHOLE: Final = re.compile(rf"[0-9]{{1,{_MOST_DIGITS}}}")
@@ -72,6 +73,13 @@ def checked_whole(name: str, value: Any, *, at_least: int = 0, bits: int | None 
     if bits is not None and number >= 1 << bits:
         raise ArgumentError(f"{name} must be below 2^{bits}; found {number}")
     return number
+
+
+def simplest_fraction(number: float | Fraction) -> Fraction:
+    """Return the simple fraction that a finite float is the nearest one to, as 1/3 or 21/10; else the number itself."""
+    exact = number if isinstance(number, Fraction) else Fraction(float(number))
+    simple = exact.limit_denominator(_MOST_PARTS)
+    return simple if float(simple) == number else exact
 
 
 def counted(count: int, noun: str) -> str:

@@ -1,7 +1,7 @@
-"""Characters that nobody sees or that steer a terminal: found, and shown by their numbers on all that is printed.
+"""Values and names of strangers as messages show them: short, on one line, with all characters seen.
 
-File names and metadata come from strangers: an escape sequence in one repaints the screen, a mark that turns the
-direction of writing makes ``gpj.exe`` of ``exe.jpg``, and a byte that is not UTF-8 cannot be printed at all.
+An escape sequence in a file's name repaints the screen, and a mark that turns the direction of writing makes
+``gpj.exe`` of ``exe.jpg``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import Final
 _UNSEEN: Final = "\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
 _IN_TEXT: Final = re.compile(f"[{_UNSEEN}]")
 _IN_LINE: Final = re.compile(f"[{_UNSEEN}\t\n]")
-_SHORT: Final = {"\t": "\\t", "\n": "\\n", "\r": "\\r"}
 
 
 def has_unseen(text: str, *, lines: bool = False) -> bool:
@@ -26,19 +25,17 @@ def has_unseen(text: str, *, lines: bool = False) -> bool:
 
 def visible(text: str) -> str:
     r"""Return a text with each character that does not show as its number, such as ``\x1b``; lines and tabs stay."""
-    return _IN_TEXT.sub(_escape_character, text)
+    return _IN_TEXT.sub(_write_number, text)
 
 
 def in_line(text: str) -> str:
     """Return a text as one line, with each character that does not show, line ends and tabs too, as its number."""
-    return _IN_LINE.sub(_escape_character, text)
+    return _IN_LINE.sub(_write_number, text)
 
 
-def _escape_character(match: re.Match[str]) -> str:
-    """Write the matched character as its short escape, or else as its hexadecimal number."""
-    character = match[0]
-    code = ord(character)
-    return _SHORT.get(character) or (f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}")
+def _write_number(character: re.Match[str]) -> str:
+    """Write a character as Python does: its short escape, or else its number."""
+    return repr(character[0])[1:-1]
 
 
 _LONGEST_SHOWN: Final = 80

@@ -23,7 +23,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.stats import poisson
 
 from eldata.baselines.tiling import tiled
-from eldata.errors import ArgumentError, DatasetError, EldataError
+from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -76,51 +76,6 @@ def noise_of_parameters(parameters: NoiseParameters, *, ratio: float, range_dn: 
     rounding = parameters.quantisation_step_dn**2 / 12
     black = tuple(bias * scale for bias in parameters.colour_bias_dn)
     return SignalNoise(float(parameters.gain_dn_per_e) * scale, (gauss**2 + row**2 + rounding) * scale**2, black)
-
-
-_SIDE = 8  # of a patch
-_PATCHES_PER_VALUE = 10  # with fewer, the eigenvalues of pure noise lie too far apart
-
-
-def noise_of_patches(image: Values) -> SignalNoise:
-    """Estimate one noise level for a frame from the eigenvalues of the covariance of all its patches.
-
-    G. Chen, F. Zhu and P. A. Heng, "An Efficient Statistical Method for Image Noise Level Estimation", ICCV 2015, which
-    the paper (section 4.1.2) took for methods without training. A scene fills some directions of the space of patches,
-    and noise all of them: the largest eigenvalues are dropped until the mean of the others is not above their median,
-    and that mean is the variance.
-
-    Parameters
-    ----------
-    image
-        (C, h, w), negative values kept. Patches are of 8 x 8 pixels and all channels.
-
-    Raises
-    ------
-    DatasetError
-        If the frame has too few patches, or is without noise.
-    """
-    values = len(image) * _SIDE**2
-    rows, columns = (max(side - _SIDE + 1, 0) for side in image.shape[1:])
-    count = rows * columns
-    if count < _PATCHES_PER_VALUE * values:
-        raise DatasetError(
-            f"a frame of {image.shape} has {count} patches, and chen2015 needs {_PATCHES_PER_VALUE * values}, "
-            f"{_PATCHES_PER_VALUE} for each value of a patch"
-        )
-    total, products = np.zeros(values), np.zeros((values, values))
-    patches = np.lib.stride_tricks.sliding_window_view(image, (_SIDE, _SIDE), axis=(1, 2))
-    for row in patches.transpose(1, 2, 0, 3, 4):  # all at once would be gigabytes
-        flat = row.reshape(-1, values).astype(np.float64)
-        total += flat.sum(axis=0)
-        products += flat.T @ flat
-    kept = np.linalg.eigvalsh(products / count - np.outer(total, total) / count**2)  # ascending
-    while kept.mean() > np.median(kept):
-        kept = kept[:-1]
-    variance = float(kept.mean())
-    if variance <= np.finfo(np.float32).eps * float(products.trace()) / count:
-        raise DatasetError("the frame shows no noise: chen2015 found no variance beyond rounding")
-    return SignalNoise(0.0, variance)
 
 
 # --- stabilising ------------------------------------------------------------------------------------------------------

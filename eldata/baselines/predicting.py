@@ -15,10 +15,10 @@ from eldata import __version__
 from eldata.base.files import inside, remove_leftovers
 from eldata.base.numbers import counted
 from eldata.base.workers import AnyWorkers, Failed, require_files
-from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_patches
+from eldata.baselines.classical import BASELINES, SignalNoise
 from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames, estimate_line, line_of_profile
 from eldata.baselines.prediction_folder import ANSWERS, begin_folder, describe_answers
-from eldata.errors import ArgumentError, DatasetError, check_choice
+from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.predictions import save_prediction, stem_of
 from eldata.evaluation.request import Request, make_request, plan_scoring, require_pairs
 from eldata.manifest.card import CHANNELS
@@ -79,15 +79,11 @@ class BaselineDenoiser:
         The cameras' noise; without, it is estimated from each frame.
     profile_of_another_camera
         Whether the only profile may stand for cameras that it is not of.
-    noise
-        ``"chen2015"``: one level for each frame by :func:`eldata.baselines.classical.noise_of_patches`, which ``bm3d``
-        alone takes, and no profile goes with. ``None``: the line of the noise, by profile or frame.
     """
 
     name: str
     profiles: tuple[CameraProfile, ...] = ()
     profile_of_another_camera: bool = False
-    noise: Literal["chen2015"] | None = None
 
     def __post_init__(self) -> None:
         if self.name not in BASELINES:
@@ -95,15 +91,6 @@ class BaselineDenoiser:
         cameras = [profile.camera for profile in self.profiles]
         if len(set(cameras)) < len(cameras):
             raise ArgumentError(f"give one profile of each camera; found profiles of {', '.join(cameras)}")
-        if self.noise is None:
-            return
-        check_choice("noise", self.noise, ("chen2015",))
-        if self.name != "bm3d" or self.profiles:
-            found = f"{self.name} takes a line or none" if self.name != "bm3d" else "a profile tells the noise, too"
-            raise ArgumentError(
-                f"noise {self.noise!r} is one level for a frame, for bm3d without a profile; found that {found}: leave "
-                "--noise (noise=...) out"
-            )
 
     def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:  # noqa: ARG002 # any
         """Return its name, the versions of its package or weights, and the source of the noise.
@@ -123,7 +110,7 @@ class BaselineDenoiser:
         return {
             "denoiser": self.name,
             **baseline.versions(),
-            "noise": noise or ("each frame's own" if self.noise is None else f"each frame's own, by {self.noise}"),
+            "noise": noise or "each frame's own",
             ANOTHER: bool(self.profiles) and self.profile_of_another_camera,
         }
 
@@ -133,9 +120,7 @@ class BaselineDenoiser:
         return baseline.denoise(frame.image, self._find_noise(frame) if baseline.uses_noise else None)
 
     def _find_noise(self, frame: NoisyFrame) -> SignalNoise:
-        """Find a frame's noise: from its patches, the frame itself or a camera's profile, as chosen."""
-        if self.noise is not None:
-            return noise_of_patches(frame.image)
+        """Find a frame's noise: by the camera's profile or, without any, from the frame itself."""
         if not self.profiles:
             return estimate_line(frame.image)
         if math.isnan(frame.range_dn):

@@ -12,7 +12,6 @@ from .defects import fixed_pattern as fixed_pattern
 from .flats import FlatPairs as FlatPairs
 from .flats import PhotonTransfer as PhotonTransfer
 from .flats import photon_transfer as photon_transfer
-from .flats import spatial_photon_transfer as spatial_photon_transfer
 from .frames import FramesError as FramesError
 from .held_out import Reproduction as Reproduction
 from .held_out import reproduction as reproduction
@@ -24,7 +23,6 @@ from .residuals import ReadNoise as ReadNoise
 from .residuals import ppcc as ppcc
 from .residuals import probability_plot as probability_plot
 from .residuals import read_noise as read_noise
-from .residuals import single_frame_plot as single_frame_plot
 from .results import Calibration as Calibration
 from .shading_fit import ShadingFit as ShadingFit
 from .shading_fit import dark_shading as dark_shading

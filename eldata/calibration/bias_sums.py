@@ -207,24 +207,6 @@ class BiasSums:
         return np.asarray(remainders[0] @ turns / np.maximum(remainders[0].sum(axis=1), 1))
 
 
-def count_frame(mosaic: Mosaic, fixed: FixedPattern) -> tuple[Values, Counts]:
-    """Return values and counts of one frame's sound pixels, less its channels' and its rows' means; DN.
-
-    As the paper has it: of a single frame, whose fixed pattern stays in.
-    """
-    units = 256  # of a DN: rows' means are rounded to them
-    sound = ~fixed.defects
-    level, row = levels_and_lines(sums_by_row(mosaic * sound, fixed.pattern), sums_by_row(sound, fixed.pattern))
-    phases = np.arange(len(row)) % len(fixed.pattern)
-    offsets = np.rint(units * (row[:, None] + level[fixed.pattern[phases]])).astype(np.int64)
-    sigma = math.sqrt(float(np.mean(fixed.temporal_variance_dn2)) + max(fixed.summary.dsnu_dn) ** 2)
-    step = max(1, round(units * sigma / CELLS_PER_SIGMA)) | 1  # odd: cell 0 is symmetric
-    counts = np.zeros((1, 2 * _HALF + 1), dtype=np.int64)
-    nothing = np.broadcast_to(np.uint32(0), mosaic.shape)
-    loops.residual_histogram(mosaic, nothing, fixed.defects, units, offsets, step, counts)
-    return np.asarray((np.arange(2 * _HALF + 1) - _HALF) * (step / units), dtype=np.float64), counts[0]
-
-
 # --- row noise and colour bias ----------------------------------------------------------------------------------------
 
 _BY_CHANCE = 1e-3  # of the frames' scatter

@@ -1,10 +1,9 @@
 """System gain K from flat-field frames: the slope of the photon transfer line ``Var(D) = K (K I) + Var(N_o)``.
 
 Sources: Wei et al., TPAMI 2021, section 3.2.1, equations 9 to 11; EMVA 1288 release 4.0 Linear, its photon transfer
-method. The variance is temporal, half that of the difference of two equal flats, so that
-everything that stays (fixed pattern, PRNU, shading) cancels. The paper's own way, the variance inside of single frames
-over their median, is there for comparison: it takes PRNU and shading, which grow with the square of the signal, for
-shot noise.
+method. The variance is temporal, half that of the difference of two equal flats, so that everything that stays (fixed
+pattern, PRNU, shading) cancels. The paper's own way, the variance inside of single frames over their median, takes PRNU
+and shading, which grow with the square of the signal, for shot noise.
 
 The intercept is free and never used as read noise: it also holds row noise, quantisation and black-level errors.
 """
@@ -12,7 +11,7 @@ The intercept is free and never used as read noise: it also holds row noise, qua
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -103,8 +102,7 @@ class PhotonTransfer:
     correlation, correlation_error
         Of neighbours of one colour in the differences of pairs, and its standard error; 0 in honest frames.
     medians
-        By channel: signal, variance and its relative error as medians (:meth:`FlatPairs.medians`). Of single frames
-        none, as the two above.
+        By channel: signal, variance and its relative error as medians (:meth:`FlatPairs.medians`).
     """
 
     gain_dn_per_e: float
@@ -113,9 +111,9 @@ class PhotonTransfer:
     channels: tuple[PhotonTransferLine, ...]
     frames: int
     left_out: float
-    correlation: float = math.nan
-    correlation_error: float = math.nan
-    medians: tuple[Values, ...] = field(default=(), repr=False)
+    correlation: float
+    correlation_error: float
+    medians: tuple[Values, ...] = field(repr=False)
 
 
 class FlatPairs(FrameSums):
@@ -136,8 +134,6 @@ class FlatPairs(FrameSums):
         From which value on a pixel counts as saturated.
     counts
         (channels, 65536) sound pixels by value.
-    single_frames
-        By channel: median over black and variance of each frame that is neither clipped nor saturated.
     """
 
     def __init__(
@@ -153,7 +149,6 @@ class FlatPairs(FrameSums):
         self._sums = np.zeros((self.channels, _LEVELS, 6))
         self._medians: list[list[tuple[float, float, float]]] = [[] for _ in self.black]
         self.counts = np.zeros((self.channels, 65536), dtype=np.int64)
-        self.single_frames: list[list[tuple[float, float]]] = [[] for _ in self.black]
 
     def add(self, first: Mosaic, second: Mosaic) -> None:
         """Add two frames of the same scene, exposure and ISO; use each frame in one pair only.
@@ -166,7 +161,7 @@ class FlatPairs(FrameSums):
         if first.shape[1] < SEGMENT:
             raise ArgumentError(f"flat frames must be {SEGMENT} pixels wide or more; found {first.shape[1]}")
         for frame in (first, second):
-            self._count(frame, defects)
+            channel_histograms(frame, defects, self.pattern, self.counts[None])
         ratios, every = self._measure_ratios(first, second, defects), np.arange(_LEVELS)
         for channel in range(self.channels):
             medians = []
@@ -181,21 +176,6 @@ class FlatPairs(FrameSums):
                     sums[:, index] = np.bincount(places, np.append(sums[:, index], added))
                 medians.append(figures[:3])
             self._medians[channel] += _pool_medians(*np.concatenate(medians, axis=1))
-
-    def _count(self, mosaic: Mosaic, defects: Mask) -> None:
-        """Count a frame's values, and measure it by itself, as published."""
-        counts = np.zeros((1, *self.counts.shape), dtype=np.int64)
-        channel_histograms(mosaic, defects, self.pattern, counts)
-        self.counts += counts[0]
-        values = np.arange(65536)  # integers: exact, and no BLAS, whose threads would wait in vain
-        for channel, histogram in enumerate(counts[0]):
-            total = int(histogram.sum())
-            bad = int(histogram[: self.floor_dn + 1].sum()) + int(histogram[math.ceil(self.limit_dn) :].sum())
-            if total > 1 and bad <= CLIPPED_SHARE * 0.01 * total:
-                median = float(np.searchsorted(np.cumsum(histogram), total / 2))
-                first, second = int(histogram @ values), int(histogram @ values**2)
-                variance = (second - first * first / total) / (total - 1)
-                self.single_frames[channel].append((median - float(self.black[channel]), variance))
 
     def _measure(
         self, first: Mosaic, second: Mosaic, defects: Mask, channel: int, ratios: Values
@@ -351,9 +331,21 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
         for channel, name in enumerate(channel_names(flats.channels))
     )
     correlation, error = flats.correlation
-    medians = tuple(map(flats.medians, range(flats.channels)))
-    joined = _join_lines(lines, flats.frames, flats.left_out)
-    return replace(joined, correlation=correlation, correlation_error=error, medians=medians)
+    # One slope with an intercept per channel is the inverse-variance mean of the channels' slopes.
+    gains = np.array([line.gain_dn_per_e for line in lines])
+    weights = np.array([line.gain_error for line in lines]) ** -2.0
+    gain = float(weights @ gains / weights.sum())
+    return PhotonTransfer(
+        gain_dn_per_e=gain,
+        gain_error=float(weights.sum() ** -0.5),
+        agreement_chi2_per_dof=float(weights @ (gains - gain) ** 2) / (len(lines) - 1),
+        channels=lines,
+        frames=flats.frames,
+        left_out=flats.left_out,
+        correlation=correlation,
+        correlation_error=error,
+        medians=tuple(map(flats.medians, range(flats.channels))),
+    )
 
 
 def _weighted_line(
@@ -400,45 +392,6 @@ def _weighted_line(
     )
 
 
-def spatial_photon_transfer(flats: FlatPairs) -> PhotonTransfer:
-    """Estimate K as published: ordinary least squares of each frame's variance over its median.
-
-    For comparison only: PRNU of p adds ``(p signal)^2``, and shading more. The standard errors come from the scatter
-    around the line and allow for neither.
-
-    Raises
-    ------
-    DatasetError
-        If a channel has fewer than three usable frames.
-    """
-    lines = tuple(map(_fit_plain_line, flats.single_frames, channel_names(flats.channels)))
-    left_out = 1 - sum(map(len, flats.single_frames)) / (flats.frames * flats.channels)
-    return _join_lines(lines, flats.frames, left_out)
-
-
-def _fit_plain_line(points: Sequence[tuple[float, float]], channel: str) -> PhotonTransferLine:
-    """Fit a line to (signal, variance) of single frames of one channel, all of equal weight."""
-    signal, variance = np.array(points, dtype=np.float64).reshape(-1, 2).T
-    if len(signal) < 3 or not np.ptp(signal) > 0:
-        raise DatasetError(
-            f"{channel} has {counted(len(signal), 'usable flat frame')} and the spatial method needs three of "
-            "different brightness: take flats at four exposures or more, from a tenth to nine tenths of the range"
-        )
-    even = np.ones(len(signal))
-    slope, intercept, scales = straight_line(signal, variance, even, even)
-    scatter = float(((variance - slope * signal - intercept) ** 2).sum()) / (len(signal) - 2)
-    return PhotonTransferLine(
-        gain_dn_per_e=slope,
-        gain_error=max(math.sqrt(scatter * scales[0]), 1e-300),
-        intercept_dn2=intercept,
-        intercept_error=math.sqrt(scatter * scales[1]),
-        chi2_per_dof=math.nan,
-        signal_dn=signal,
-        variance_dn2=variance,
-        variance_error_dn2=np.full(len(signal), math.sqrt(scatter)),
-    )
-
-
 def straight_line(x: Values, y: Values, weight: Values, error2: Values) -> tuple[float, float, tuple[float, float]]:
     """Return slope and intercept with these weights, and the variances of both if y has these."""
     total = float(weight.sum())
@@ -448,19 +401,3 @@ def straight_line(x: Values, y: Values, weight: Values, error2: Values) -> tuple
     of_intercept = weight / total - centre * of_slope
     slope, intercept = float(of_slope @ y), float(of_intercept @ y)
     return slope, intercept, (float(of_slope**2 @ error2), float(of_intercept**2 @ error2))
-
-
-def _join_lines(lines: tuple[PhotonTransferLine, ...], frames: int, left_out: float) -> PhotonTransfer:
-    """Return K of all channels together."""
-    # One slope with an intercept per channel is the inverse-variance mean of the channels' slopes.
-    gains = np.array([line.gain_dn_per_e for line in lines])
-    weights = np.array([line.gain_error for line in lines]) ** -2.0
-    gain = float(weights @ gains / weights.sum())
-    return PhotonTransfer(
-        gain_dn_per_e=gain,
-        gain_error=float(weights.sum() ** -0.5),
-        agreement_chi2_per_dof=float(weights @ (gains - gain) ** 2) / (len(lines) - 1),
-        channels=lines,
-        frames=frames,
-        left_out=left_out,
-    )

@@ -284,8 +284,8 @@ class MeasuredFigure:
 class IsoGain:
     """What the flats of one ISO give; all that there is without bias frames.
 
-    ``transfer`` and ``spatial`` are what the estimators found, whatever the frames are like. What of it is given, and
-    with which error, are ``gain``, ``channel_gains`` and ``spatial_gain``.
+    ``transfer`` is what the estimator found, whatever the frames are like. What of it is given, and with which error,
+    are ``gain`` and ``channel_gains``.
 
     Attributes
     ----------
@@ -297,8 +297,6 @@ class IsoGain:
         How many of its pairs were summed up; without ``transfer`` none of them could be used.
     transfer
         Photon transfer from pairs of flats; ``None`` without flats of this ISO, or where no line can be found.
-    spatial
-        The published single-frame method on the same flats, for comparison; ``None`` where it is not available.
     remarks
         What else a person should know before believing these figures.
     findings
@@ -313,7 +311,6 @@ class IsoGain:
     sensor: Sensor
     flat_frames: int = 0
     transfer: PhotonTransfer | None = None
-    spatial: PhotonTransfer | None = None
     remarks: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     stated_gain_dn_per_e: float | None = None
@@ -399,18 +396,13 @@ class IsoGain:
         return tuple(filter(None, gains)) or None
 
     @property
-    def spatial_gain(self) -> MeasuredFigure | None:
-        """K by the published single-frame method [DN/e-], for comparison."""
-        return self._judge_gain(self.spatial)
-
-    @property
     def gain_text(self) -> str:
         """K with its error as tables show it: "-" if it was never measured, "withheld" if that is not given."""
         return self.gain.text if self.gain is not None else "withheld" if "gain" in self.withheld else "-"
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure with its standard error as JSON types; ``None``: withheld, or not finite."""
-        gain, channel_gains, spatial = self.gain, self.channel_gains, self.spatial_gain
+        gain, channel_gains = self.gain, self.channel_gains
         data = {
             "iso": self.iso,
             "black_level_dn": self.sensor.black_level_dn,
@@ -420,7 +412,6 @@ class IsoGain:
             "gain_error": None if gain is None else gain.error,
             "gain_is_stated": gain is not None and gain.is_stated,
             "gain_by_channel": None if channel_gains is None else [channel.value for channel in channel_gains],
-            "gain_spatial_dn_per_e": None if spatial is None else spatial.value,
             "withheld": {quantity: self.why(quantity) for quantity in SYMBOLS if quantity in self.withheld},
             "findings": [asdict(finding) for finding in self.findings],
             "remarks": list(self.all_remarks),
@@ -449,8 +440,6 @@ class IsoCalibration(IsoGain):
         Read noise, and quantiles of the residuals for the probability plots; ``None`` where values end at a floor.
     pattern
         What stays from frame to frame.
-    single_frame
-        R^2 as the paper takes it, against Tukey lambda and normal, and lambda; ``None`` if it was not.
     spectrum_dn2
         (256, 256) power spectrum of a bias frame less its channels' means, zero frequency in the centre, averaged over
         tiles of 256 x 256 pixels; white noise of variance s^2 gives s^2 throughout.
@@ -472,7 +461,6 @@ class IsoCalibration(IsoGain):
     pattern: PatternSummary
     spectrum_dn2: Plane = field(repr=False)
     reproduction: Reproduction | None = None
-    single_frame: tuple[float, float, float] | None = None
     stepped: ReadNoise | None = None
     quantisation_step_dn: float = 1.0
 
@@ -480,8 +468,8 @@ class IsoCalibration(IsoGain):
     def figures(self) -> dict[str, MeasuredFigure]:
         """The figures of the dark by name, in the order of JSON; one that is withheld says why.
 
-        Of the read noise (Wei et al., TPAMI 2021, section 3.2.1, figure 7), as published beside it, and of the row
-        noise (figures 5 and 6). Where values end at a floor, there is no read noise.
+        Of the read noise (Wei et al., TPAMI 2021, section 3.2.1, figure 7) and of the row noise (figures 5 and 6).
+        Where values end at a floor, there is no read noise.
         """
         read, rows, columns = self.read, self.rows.rows, self.rows.columns
 
@@ -493,7 +481,6 @@ class IsoCalibration(IsoGain):
             """Make the figure sigma of the row or the column noise."""
             return MeasuredFigure(name, label, noise.sigma_dn, noise.sigma_error_dn, unit="DN")
 
-        of_frame, of_normal, _ = self.single_frame or (math.nan,) * 3
         plain: dict[str, Any] = {"decimals": 5}
         figures = (
             self.judge("shape", of_read("lambda", "tukey_lambda", "tukey_lambda_error"), 1.0),
@@ -503,8 +490,6 @@ class IsoCalibration(IsoGain):
             self.judge("shape", of_read("sigma_TL, PPCC", "ppcc_sigma_tl_dn", unit="DN", **plain)),
             of_read("R2 TL", "r_squared_tl", **plain),
             of_read("R2 G", "r_squared_gauss", **plain),
-            MeasuredFigure("single_frame_r_squared_tl", "R2 TL as published", of_frame, **plain),
-            MeasuredFigure("single_frame_r_squared_gauss", "R2 G as published", of_normal, **plain),
             replace(of_read("chi2", "chi2_per_dof", **plain), name="read_chi2_per_dof"),
             self.judge("row noise", of_lines("sigma_row", "sigma_row_dn", rows)),
             MeasuredFigure("row_shapiro_p", "Shapiro-Wilk p", rows.shapiro_p, **plain),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
 from operator import methodcaller
@@ -17,11 +17,11 @@ from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration import checks, iso_results
 from eldata.calibration.bias_sums import BiasPairs, BiasSums, colour_bias, power_spectrum, row_noise
 from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, fixed_pattern, too_few_frames
-from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
+from eldata.calibration.flats import FlatPairs, photon_transfer
 from eldata.calibration.frames import FrameReader, FramesError, IsoFrames, measure_frame, measure_pair, unequal_pair
 from eldata.calibration.held_out import compared_piece, reproduction
 from eldata.calibration.iso_results import IsoCalibration, IsoGain, accept_findings, fill_sentence
-from eldata.calibration.residuals import probability_plot, read_noise, single_frame_plot
+from eldata.calibration.residuals import probability_plot, read_noise
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
 from eldata.raw.container import lossy_compression
@@ -129,7 +129,6 @@ def _measure_all(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     for source, frame in reader.read(estimated):
         if source == estimated[0]:
             spectrum = power_spectrum(frame.mosaic, fixed)
-            single = None if fixed.clips_at_black else single_frame_plot(frame.mosaic, fixed)
         in_threads(methodcaller("add", frame.mosaic), [sums, pairs], reader.workers.jobs)
         del frame
     reader.refuse()
@@ -153,7 +152,6 @@ def _measure_all(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
         bias_frames=len(estimated),
         pattern=fixed.summary,
         spectrum_dn2=spectrum,
-        single_frame=single,
         stepped=None if residuals is None else checks.read_noise_in_steps(residuals, step),
         **estimates,
     )
@@ -251,14 +249,10 @@ def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern |
         text = f"{error}; pairs used: {', '.join(used)}"
         lost = iso_results.TRANSFER.withhold(math.nan, math.nan, text)
         return make_record(*of_saturation, lost, flat_frames=flats.frames)
-    of_line, spatial = (*checks.find_flat_correlation(transfer), *checks.find_bent_line(transfer)), None
-    # Of a scene, a frame's variance is the scene's own.
-    if iso_results.NO_LINE.name not in [finding.check for finding in of_line]:
-        with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
-            spatial = spatial_photon_transfer(flats)
+    of_line = (*checks.find_flat_correlation(transfer), *checks.find_bent_line(transfer))
     of_steps = checks.find_uneven_steps(flats, transfer)
     findings = accept_findings((*of_saturation, *of_steps, *of_line), chosen.accept)
-    return make_record(*findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
+    return make_record(*findings, transfer=transfer, flat_frames=transfer.frames)
 
 
 def _read_pairs(reader: FrameReader, pairs: Sequence[FlatPair]) -> Iterator[tuple[FlatPair, RawFrame, RawFrame]]:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import optimize, special
 
-from eldata.calibration.bias_sums import CELLS_PER_SIGMA, ResidualHistogram, count_frame
+from eldata.calibration.bias_sums import CELLS_PER_SIGMA, ResidualHistogram
 from eldata.calibration.tukey_lambda import (
     HIGHEST,
     LOWEST,
@@ -42,8 +42,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.defects import FixedPattern
-    from eldata.calibration.sums import Counts, Mosaic, Values
+    from eldata.calibration.sums import Counts, Values
 
 _TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
 _LEAST_BLUR = 0.05
@@ -228,19 +227,6 @@ def probability_plot(histogram: ResidualHistogram, read: ReadNoise) -> Probabili
         slope_normal_dn=normal_correlation(values[filled], inner[filled].astype(np.float64))[1],
         slope_tukey_lambda_dn=read.ppcc_sigma_plain_dn,
     )
-
-
-def single_frame_plot(mosaic: Mosaic, fixed: FixedPattern) -> tuple[float, float, float]:
-    """Return R^2 of one frame's probability plots against Tukey lambda and normal, and lambda, as published.
-
-    For comparison: fixed pattern, which is not noise, takes part. Defects do not, as a probability plot weighs a
-    residual by its square: a handful of hot pixels would be all that it shows.
-    """
-    values, counts = count_frame(mosaic, fixed)
-    filled = counts > 0
-    values, number = values[filled], counts[filled].astype(np.float64)
-    shape, _, _ = ppcc(values, number)
-    return correlation(values, number, shape)[0] ** 2, normal_correlation(values, number)[0] ** 2, shape
 
 
 def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:

@@ -30,8 +30,6 @@ def add_options(parser: console.Parser) -> None:
     add_choice(parser)
     text = "profile of the camera's noise, by name or file; once per camera (default: estimated from each frame)"
     parser.add_argument("--profile", action="append", default=[], dest="profiles", metavar="P", help=text)
-    text = "with bm3d and no profile: one noise level per frame, by the paper's estimator"
-    parser.add_argument("--noise", choices=("chen2015",), help=text)
     text = "take the profile for frames of cameras that have none of their own; what is written says so"
     parser.add_argument("--profile-of-another-camera", action="store_true", help=text)
     kept = "{output} keeps the finished predictions, and the same command goes on"
@@ -77,7 +75,7 @@ def run(arguments: console.Arguments) -> int:
     from eldata.noise.profile import CameraProfile
 
     profiles = tuple(CameraProfile.load(name) for name in arguments.profiles)
-    denoiser = BaselineDenoiser(arguments.name, profiles, arguments.profile_of_another_camera, arguments.noise)
+    denoiser = BaselineDenoiser(arguments.name, profiles, arguments.profile_of_another_camera)
     with console.chosen_workers(arguments) as workers:
         report = write_predictions(
             denoiser, arguments.dataset or "", arguments.output, workers=workers, **chosen_options(arguments)

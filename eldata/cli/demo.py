@@ -12,18 +12,9 @@ whose noise is known, calibrate it from them, and compare with the truth. DIR mu
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from eldata.base import console
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
-
-# Fields of eldata.demo.body.FixedFeatures.
-_FEATURES = {
-    "shading": ("bias_shading_dn", "vignetting"),
-    "hot-pixels": ("hot_share",),
-    "fixed-pattern": ("prnu", "dsnu_dn", "column_pattern_dn"),
-}
 
 
 def add_options(parser: console.Parser) -> None:
@@ -36,9 +27,6 @@ def add_options(parser: console.Parser) -> None:
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--train", action="store_true", help="train a network on other scenes, and score it too")
     instead.add_argument("--calibration", action="store_true", help="calibrate a camera, instead of scenes")
-    text = f"with --calibration: a camera without this ({', '.join(_FEATURES)}); may be repeated"
-    features = tuple(_FEATURES)
-    parser.add_argument("--without", action="append", choices=features, default=[], metavar="FEATURE", help=text)
     console.add_shared(parser, run, "jobs")
 
 
@@ -52,13 +40,9 @@ def run(arguments: console.Arguments) -> int:
             raise ArgumentError(f"--{option} is about the demo that scores: leave it out with --calibration")
     if arguments.calibration:
         from eldata.demo.calibration import run_calibration_demo
-        from eldata.demo.calibration_frames import DEMO_FEATURES
 
-        off = {field: 0.0 for feature in arguments.without for field in _FEATURES[feature]}
-        run_calibration_demo(folder, seed=seed, features=replace(DEMO_FEATURES, **off), workers=workers)
+        run_calibration_demo(folder, seed=seed, workers=workers)
         return console.OK
-    if arguments.without:
-        raise ArgumentError("--without is about calibration frames: give --calibration too")
     from eldata.demo.evaluation import run_demo
 
     scenes = 4 if arguments.scenes is None else arguments.scenes

@@ -13,7 +13,7 @@ from eldata.base.tables import text_table
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.camera import calibrate
 from eldata.datasets.calibration_frames import CalibrationFrames
-from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
+from eldata.demo.calibration_frames import DEMO_GAMMA, make_calibration_frames
 from eldata.demo.tree import prepare_folder
 from eldata.errors import EldataError
 from eldata.reports.calibration import calibration_page
@@ -24,12 +24,9 @@ if TYPE_CHECKING:
 
     from eldata.calibration.iso_results import IsoCalibration, MeasuredFigure
     from eldata.calibration.results import Calibration
-    from eldata.demo.body import FixedFeatures
 
 
-def run_calibration_demo(
-    folder: Path, *, seed: int = 0, features: FixedFeatures = DEMO_FEATURES, workers: Workers = IN_THIS_PROCESS
-) -> Calibration:
+def run_calibration_demo(folder: Path, *, seed: int = 0, workers: Workers = IN_THIS_PROCESS) -> Calibration:
     """Make calibration frames in a folder, calibrate from them and compare with the truth, printing what happens.
 
     Parameters
@@ -38,8 +35,6 @@ def run_calibration_demo(
         New, empty, or an earlier demo's.
     seed
         Of the simulated camera.
-    features
-        What stays the same from frame to frame.
     workers
         What runs the work.
 
@@ -52,7 +47,7 @@ def run_calibration_demo(
     start = time.perf_counter()
     prepare_folder(folder)
     camera = DEMO_GAMMA
-    manifest = make_calibration_frames(folder, camera=camera, seed=seed, features=features, workers=workers)
+    manifest = make_calibration_frames(folder, camera=camera, seed=seed, workers=workers)
     data = folder / "data" / "calibration"
     print(f"{len(manifest.records)} raw files (DNG), bias and flat-field frames of {camera.name}: {data / camera.name}")
 

@@ -246,22 +246,9 @@ def truncate_to_8_bits(image: torch.Tensor) -> torch.Tensor:
     """
     import torch
 
-    _check_finite(image)
+    if not bool(image.isfinite().all()):
+        raise ArgumentError("the image holds NaN or infinities, which have no 8-bit code")
     return (image.detach().to(torch.float32) * 255).clamp(0, 255).to(torch.uint8)
-
-
-def round_to_8_bits(image: torch.Tensor) -> torch.Tensor:
-    """Make uint8 codes ``round(255 image)``, clipped to 0 and 255: the nearest, for saving and looking at.
-
-    Raises
-    ------
-    ArgumentError
-        If the image holds NaN or infinities, which have no code.
-    """
-    import torch
-
-    _check_finite(image)
-    return (image.detach().to(torch.float64) * 255).round().clamp(0, 255).to(torch.uint8)
 
 
 def _check_packed(packed: torch.Tensor) -> None:
@@ -271,11 +258,6 @@ def _check_packed(packed: torch.Tensor) -> None:
         raise ArgumentError(f"expected packed data {forms}; found shape {tuple(packed.shape)}")
     if not packed.is_floating_point():
         raise ArgumentError(f"expected normalised floating-point data; found {packed.dtype}")
-
-
-def _check_finite(image: torch.Tensor) -> None:
-    if not bool(image.isfinite().all()):
-        raise ArgumentError("the image holds NaN or infinities, which have no 8-bit code")
 
 
 # --- as the ELD code scores -------------------------------------------------------------------------------------------

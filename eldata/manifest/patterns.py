@@ -19,6 +19,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from eldata.base.files import inside, split_member, visible_below
+from eldata.base.numbers import natural
 from eldata.errors import FileError
 from eldata.manifest.table import parse_cell
 from eldata.records import FrameRecord
@@ -203,7 +204,7 @@ class FrameSequence:
 def sequence_of(names: Iterable[str]) -> FrameSequence:
     """Return names in order, with the one number that runs through them if there is one."""
     split = {name: _DIGITS.split(name) for name in names}
-    ordered = sorted(split, key=lambda name: ([_make_sort_key(part) for part in split[name]], name))
+    ordered = sorted(split, key=natural)
     kinds = Counter("0".join(split[name][::2]) for name in ordered)
     if not kinds:
         return FrameSequence((), None, ())
@@ -213,8 +214,3 @@ def sequence_of(names: Iterable[str]) -> FrameSequence:
     running = [column for column in columns if len(set(column)) > 1]
     numbers = running[0] if len(running) == 1 else None
     return FrameSequence(tuple(ordered), numbers, tuple(name for name in ordered if name not in alike))
-
-
-def _make_sort_key(part: str) -> tuple[int, int, str]:
-    """Make a sort key of a name's part: numbers by value, before other text."""
-    return (0, int(part), "") if part.isdecimal() else (1, 0, part)

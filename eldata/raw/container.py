@@ -595,11 +595,6 @@ _REFUSED: tuple[tuple[int, tuple[int, ...], str, str], ...] = (
     (tiff.CFA_LAYOUT, (), "unsupported colour filter array: its CFALayout is {} (staggered, as a Super CCD's)", NEEDED),
 )
 _OF_ANY_IMAGE = _REFUSED[:2]  # demosaiced ones too: LibRaw makes other numbers of floats
-_CFA_NAMES = {  # by colours that no other kind has
-    "CYGM": "CYGM (cyan, yellow, green, magenta), ",
-    "W": "RGBW (with white sites), ",
-    "E": "RGBE (with emerald sites), ",
-}
 
 
 def refuse_unsupported(container: RawContainer) -> None:
@@ -673,11 +668,8 @@ def _is_grey_tiff(directories: Sequence[Directory]) -> bool:
 def make_cfa_error(path: Path, rows: Sequence[str]) -> UnusableRawError:
     """Make the error of a colour filter array, one period of it in letters by row, that cannot be used."""
     colours = "".join(sorted(set("".join(rows))))
-    kind = next((name for letters, name in _CFA_NAMES.items() if set(letters) <= set(colours)), "")
     size = f"{len(rows)} x {len(rows[0]) if rows else 0}"
-    if (size, colours) == ("8 x 8", "BGR"):
-        kind = "as of hexadeca-Bayer, "
-    return UnusableRawError(path, f"unsupported colour filter array: {kind}{size} sites of {colours}", NEEDED)
+    return UnusableRawError(path, f"unsupported colour filter array: {size} sites of {colours}", NEEDED)
 
 
 # --- lossy compression ------------------------------------------------------------------------------------------------

@@ -7,26 +7,28 @@ directory of its own, where cameras put it: LibRaw ignores an ISO that stands in
 from __future__ import annotations
 
 import struct
-from fractions import Fraction
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
 from eldata.base.files import atomic_write
+from eldata.base.numbers import simplest_fraction
 from eldata.errors import ArgumentError, check_choice
 from eldata.raw import tiff
 from eldata.raw.colour import neutral_of
 from eldata.raw.damage import mosaic_fault
 from eldata.raw.levels import packed_black_level_dn
 from eldata.raw.tiff import RATIONAL, SRATIONAL, round_fraction
-from eldata.records import Exposure, Sensor, exact_fraction
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from datetime import datetime
+    from fractions import Fraction
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from eldata.records import Exposure, Sensor
 
 
 Compression = Literal["none", "lossless-jpeg"]
@@ -64,23 +66,19 @@ def _split_fractions(values: Iterable[Fraction]) -> tuple[int, ...]:
     return tuple(part for value in values for part in (value.numerator, value.denominator))
 
 
-def _as_fraction(value: Fraction | float) -> Fraction:
-    return value if isinstance(value, Fraction) else exact_fraction(value)
-
-
 def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[Entry]:
     """Make the EXIF entries of exposure time, f-number, ISO and date; refuse numbers that EXIF cannot hold."""
     entries: list[Entry] = [(36864, "x", b"0232")]
     for tag, name in ((tiff.EXPOSURE_TIME, "exposure_s"), (tiff.F_NUMBER, "f_number")):
         if getattr(exposure, name) is not None:
-            value = _as_fraction(getattr(exposure, name))
+            value = simplest_fraction(getattr(exposure, name))
             if not 1 <= value * RATIONAL <= RATIONAL**2:
                 raise ArgumentError(
                     f"{name} = {value}: expected a number from 1 / (2^32 - 1) to 2^32 - 1, as EXIF holds"
                 )
             entries.append((tag, "2I", _split_fractions([round_fraction(value, RATIONAL)])))
     if exposure.iso is not None:
-        iso = _as_fraction(exposure.iso)
+        iso = simplest_fraction(exposure.iso)
         if iso.denominator != 1 or not 0 < iso <= RATIONAL:
             raise ArgumentError(f"iso = {iso} is not a positive whole number of 32 bits")
         # ISOSpeedRatings has 16 bits; beyond them EXIF 2.3 states the speed as RecommendedExposureIndex.
@@ -116,7 +114,7 @@ def _sensor_entries(sensor: Sensor) -> list[Entry]:
     """Make the entries of a sensor: CFA, levels, camera, colour matrix and white balance."""
     sites = [index for row in sensor.cfa for index in row]
     period = len(sensor.cfa), len(sensor.cfa[0])
-    black = [round_fraction(exact_fraction(sensor.black_level_dn[index]), RATIONAL) for index in sites]
+    black = [round_fraction(simplest_fraction(sensor.black_level_dn[index]), RATIONAL) for index in sites]
     whole = all(level.denominator == 1 for level in black)
     entries: list[Entry] = [
         (tiff.CFA_REPEAT, "H", period),
@@ -134,13 +132,13 @@ def _sensor_entries(sensor: Sensor) -> list[Entry]:
     names[tiff.UNIQUE_MODEL] = sensor.model if has_maker else f"{sensor.make} {sensor.model}".strip()
     entries += [_text_entry(tag, name) for tag, name in names.items() if name]
     if sensor.xyz_to_camera is not None:
-        matrix = [round_fraction(exact_fraction(value), SRATIONAL) for row in sensor.xyz_to_camera for value in row]
+        matrix = [round_fraction(simplest_fraction(value), SRATIONAL) for row in sensor.xyz_to_camera for value in row]
         of_matrix, of_illuminant = tiff.COLOUR_MATRICES[0]
         entries.append((of_matrix, "2i", _split_fractions(matrix)))
         if sensor.matrix_illuminant:  # 0 is what stands for a tag that is not there
             entries.append((of_illuminant, "H", (sensor.matrix_illuminant,)))
     if sensor.white_balance is not None:
-        neutral = neutral_of(list(map(exact_fraction, sensor.white_balance)))
+        neutral = neutral_of(list(map(simplest_fraction, sensor.white_balance)))
         entries.append((tiff.AS_SHOT_NEUTRAL, "2I", _split_fractions(neutral)))
     return entries
 
@@ -152,10 +150,10 @@ def write_dng(
     """Write a mosaic as a DNG, whole or not at all.
 
     :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (for a sensor without a matrix LibRaw's,
-    if its table has the model). Numbers are written as the fractions that they stand for
-    (:func:`eldata.records.exact_fraction`). A number that does not fit TIFF's fields, two whole numbers of 32 bits, is
-    rounded (:func:`eldata.raw.tiff.round_fraction`), off by less than one part in four billion (of matrices, which have
-    signs, two billion). A DNG has one white balance for both greens: G1's.
+    if its table has the model). A float is written as the simple fraction that it is the nearest float to, such as
+    21/10. What does not fit TIFF's fields, two whole numbers of 32 bits, is rounded
+    (:func:`eldata.raw.tiff.round_fraction`), off by less than one part in four billion (of matrices, which have signs,
+    two billion). A DNG has one white balance for both greens: G1's.
 
     Parameters
     ----------
@@ -166,8 +164,7 @@ def write_dng(
     sensor
         Bayer or X-Trans. Black levels from 0 to 65535, fractions too; a whole white level.
     exposure
-        Fields that are ``None`` are left out of the file; a float is the decimal that it prints as. ISO must be a whole
-        number.
+        Fields that are ``None`` are left out of the file. ISO must be a whole number.
     compression
         ``"none"``, or ``"lossless-jpeg"`` (smaller on disk, several times slower to decode).
     taken
@@ -193,7 +190,7 @@ def write_dng(
         content = _encode_dng(mosaic, sensor, exposure, compression, taken, made)
     except ArgumentError as error:
         raise ArgumentError(f"{path}: {error}") from error
-    except (struct.error, ValueError) as error:  # NaN, infinity, or more than 32 bits
+    except (struct.error, ValueError, OverflowError) as error:  # NaN, infinity, or more than 32 bits
         raise ArgumentError(f"{path}: a DNG cannot hold {sensor} and {exposure}: {error}") from error
     with atomic_write(path) as file:
         file.writelines(content)

@@ -79,7 +79,7 @@ from eldata.raw.damage import border_remarks, check_damage, check_samples
 from eldata.raw.levels import CfaRows, cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.mapped import Layout, answer_by_tags, form_of, form_of_tags, verdicts
 from eldata.raw.stated import StatedFile
-from eldata.records import D65, Matrix3, RawFrame, RawHeader, Sensor, exact_number
+from eldata.records import D65, Matrix3, RawFrame, RawHeader, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -527,7 +527,7 @@ def _stated_cfa(raw: rawpy.RawPy, main: Directory) -> tuple[CfaRows, tuple[int, 
 def dng_white_level(mosaic: Directory) -> float:
     """WhiteLevel of a DNG; where it states none, by the specification the largest number."""
     (white, *_) = mosaic.values.get(tiff.WHITE_LEVEL) or ((1 << mosaic.number(tiff.BITS, 16)) - 1,)
-    return exact_number(Fraction(white))
+    return float(white)
 
 
 def dng_black_levels(path: Path, mosaic: Directory, raw: rawpy.RawPy, cfa: CfaRows) -> tuple[float, ...] | None:
@@ -547,17 +547,17 @@ def dng_black_levels(path: Path, mosaic: Directory, raw: rawpy.RawPy, cfa: CfaRo
     period = len(cfa)
     top, left = mosaic.corner()
     down, right = raw.sizes.top_margin - top, raw.sizes.left_margin - left  # LibRaw's area may start a pixel off it
-    levels: dict[int, set[Fraction]] = {}
+    levels: dict[int, set[float]] = {}
     for y, x in product(range(lcm(period, rows)), range(lcm(period, columns))):
-        level = Fraction(pattern[(y + down) % rows * columns + (x + right) % columns])
-        levels.setdefault(cfa[y % period][x % period], set()).add(level)
+        level = pattern[(y + down) % rows * columns + (x + right) % columns]
+        levels.setdefault(cfa[y % period][x % period], set()).add(float(level))
     if any(len(of_channel) > 1 for of_channel in levels.values()):
         raise UnusableRawError(
             path,
             f"its BlackLevel (repeated every {rows} x {columns} pixels) differs between sites of one colour",
             "one level per channel is needed",
         )
-    return tuple(exact_number(levels[channel].pop()) for channel in sorted(levels))
+    return tuple(levels[channel].pop() for channel in sorted(levels))
 
 
 def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ...] | None:
@@ -575,7 +575,7 @@ def as_shot_multipliers(raw: rawpy.RawPy, first: Directory) -> tuple[float, floa
     """
     neutral = tuple(map(Fraction, first.values.get(tiff.AS_SHOT_NEUTRAL, ())))
     if len(neutral) == 3 and min(neutral) > 0:
-        return exact_number(neutral[1] / neutral[0]), 1.0, exact_number(neutral[1] / neutral[2]), 1.0
+        return float(neutral[1] / neutral[0]), 1.0, float(neutral[1] / neutral[2]), 1.0
     white = _neutral_of_white(first)
     red, green, blue, second_green = raw.camera_whitebalance if white is None else (*1 / white, 0)
     if not (red > 0 and green > 0 and blue > 0):
@@ -621,7 +621,7 @@ def camera_matrix(raw: rawpy.RawPy, first: Directory) -> tuple[Matrix3 | None, i
         of_d65 = [light for light in stated if light[0] == D65]
         preferred = of_d65 or [light for light in stated if light[0] in _DAYLIGHT]
         illuminant, values = (preferred or stated[-1:])[0]
-        numbers = [exact_number(Fraction(value)) for value in values]
+        numbers = [float(value) for value in values]
     if not any(numbers):
         return None, D65
     x, y, z, *others = numbers

@@ -42,8 +42,6 @@ _READ_NOISE = {
     "read_chi2_per_dof": "χ² per d.o.f.",
     "r_squared_tl": "R², Tukey lambda",
     "r_squared_gauss": "R², Gaussian",
-    "single_frame_r_squared_tl": "R² as published, Tukey lambda",
-    "single_frame_r_squared_gauss": "R² as published, Gaussian",
 }
 
 
@@ -214,8 +212,6 @@ def _group_gain(record: IsoGain) -> dict[str, Any]:
         return _group(record, title, numbers, "gain", note=note)
     if record.channel_gains is not None:
         numbers += _label_channels("K of {}", record, [format_figure(gain, "") for gain in record.channel_gains])
-    if record.spatial_gain is not None:
-        numbers.append(("K as published", format_figure(record.spatial_gain, "")))
     numbers += [
         ("Channels' χ² per d.o.f.", digits(transfer.agreement_chi2_per_dof, 2)),
         ("Flat frames", str(transfer.frames)),

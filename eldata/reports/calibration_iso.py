@@ -29,8 +29,6 @@ GAUSSIAN_LAMBDA = 0.14
 """The shape at which the Tukey-lambda distribution is nearest to the normal one."""
 
 _LIMIT = 4.0  # standard errors of a point's deviation from its line
-_SINGLE_FRAMES_SHOWN = 48
-_ROOM_ABOVE = 1.7
 _AROUND_MAXIMUM = 0.27  # of lambda
 _FRAMES_SHOWN = 32
 _SHADING_SHOWN = 72  # rows or columns
@@ -54,42 +52,18 @@ def _plot(kind: str, record: IsoGain, alt: str, draw: Callable[..., object], **o
 
 def transfer_plot(record: IsoGain, transfer: PhotonTransfer) -> Plot:
     """Draw the variance over the signal, the fitted lines, and the deviations from them."""
-    spatial, spatial_gain = record.spatial, record.spatial_gain
     worst = max((line.chi2_per_dof for line in transfer.channels if math.isfinite(line.chi2_per_dof)), default=math.nan)
     alt = (
         f"Variance against signal of the flats at ISO {record.iso:g}, by channel, with the fitted lines: K is "
         f"{format_figure(record.gain)}, chi² per degree of freedom at most {digits(worst, 2)}."
     )
-    if spatial is not None and spatial_gain is not None:
-        alt += f" The published single-frame method gives {digits(spatial_gain.value, 4)} DN/e⁻."
 
     def draw(main: Axes, below: Axes, theme: plots.Theme) -> None:
         """Draw variances and fitted lines above, the deviations from the lines below."""
         furthest = plots.transfer_lines(main, below, record.channels, transfer.channels, theme)
-        if spatial is not None:
-            _draw_single_frames(main, spatial, theme)
-            plots.legend_above(main)
         plots.deviation_band(below, furthest, _LIMIT, theme)
 
-    more = "" if spatial is None else shipped_toml(TEMPLATES / "calibration.toml")["transfer"]["single_frames"]
-    return _plot("transfer", record, alt, draw, ratio=2.6, more=more)
-
-
-def _draw_single_frames(axes: Axes, spatial: PhotonTransfer, theme: plots.Theme) -> None:
-    """Draw the published method's points; those far above the others as arrows, or they would flatten the rest."""
-    signal = np.concatenate([line.signal_dn for line in spatial.channels])
-    variance = np.concatenate([line.variance_dn2 for line in spatial.channels])
-    shown = plots.spread_evenly(signal.size, _SINGLE_FRAMES_SHOWN)
-    signal, variance = signal[shown], variance[shown]
-    low, high = axes.get_ylim()
-    high *= _ROOM_ABOVE
-    beyond = variance > high
-    axes.set_ylim(low, high)
-    style: dict[str, Any] = {"linestyle": "none", "markersize": 6, "color": theme.ink}
-    inside = ~beyond
-    axes.plot(signal[inside], variance[inside], marker="o", markerfacecolor="none", label="single frames", **style)
-    if beyond.any():
-        axes.plot(signal[beyond], np.full(beyond.sum(), 0.97 * high), marker="^", label="beyond", **style)
+    return _plot("transfer", record, alt, draw, ratio=2.6)
 
 
 # --- colour bias --------------------------------------------------------------------------------------------------

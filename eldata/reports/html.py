@@ -201,19 +201,4 @@ def _slim_svg(svg: str) -> str:
     changes = 1
     while changes:
         svg, changes = re.subn(r"<g>((?:(?!</?g[ >]).)*)</g>", r"\1", svg)  # groups that say nothing
-    # Neighbours of one look say so once: points, and lines that are not filled.
-    point = r'<use href="[^"]*" x="[^"]*" y="[^"]*" '
-    svg = re.sub(rf'{point}(style="[^"]*")/>(?:{point}\1/>)+', _group_points, svg)
-    line = r'<path d="[^"]*" '
-    return re.sub(rf'{line}((?:clip-path="[^"]*" )?style="fill: none[^"]*")/>(?:{line}\1/>)+', _join_lines, svg)
-
-
-def _group_points(points: re.Match[str]) -> str:
-    """Move the attributes that points share to a group around them."""
-    return f"<g {points[1]}>{points[0].replace(' ' + points[1], '')}</g>"
-
-
-def _join_lines(lines: re.Match[str]) -> str:
-    """Join lines of the same look into one SVG path."""
-    outline = "".join(re.findall(r' d="([^"]*)"', lines[0]))
-    return f'<path d="{outline}" {lines[1]}/>'
+    return svg

@@ -1,15 +1,12 @@
-"""Characters that do not show: which they are, how they are shown, and that no stream lets one through."""
+"""Characters that do not show: which they are, and how they are shown."""
 
 from __future__ import annotations
 
-import io
 import sys
 import unicodedata
 
 import pytest
-from tqdm import tqdm
 
-from eldata.base.console import Screen
 from eldata.base.visible import has_unseen, in_line, visible
 
 # Unicode 15's list of characters with the property Bidi_Control (PropList.txt).
@@ -41,22 +38,3 @@ def test_how_they_are_shown(text: str, shown: str) -> None:
     assert visible(text) == in_line(text) == shown
     assert visible(f"{text}\n\t") == f"{shown}\n\t"
     assert in_line(f"{text}\n\t") == f"{shown}\\n\\t"
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_a_progress_bar_begins_its_line_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And its name, which may be a file's, cannot do anything else."""
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", Screen(terminal, has_bars=True))
-    with tqdm(total=3, desc="\x1b[2J\rname", disable=None, leave=False, mininterval=0) as bar:
-        for _ in range(3):
-            bar.update()
-    text = terminal.getvalue()
-    assert text.startswith("\r\\x1b[2J\\rname:   0%")
-    assert text.endswith("\r")
-    assert "100%" in text
-    assert "\x1b" not in text

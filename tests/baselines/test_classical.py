@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
@@ -20,7 +19,6 @@ from eldata.baselines.classical import (
     apply_anscombe,
     invert_anscombe,
     noise_of_parameters,
-    noise_of_patches,
     threshold_dct,
 )
 from eldata.baselines.noise_line import noise_line
@@ -150,40 +148,6 @@ def test_the_line_of_a_scene_is_that_of_its_noise(gain: float, sigma: float, num
     line = estimate_line((shot + sigma * generator.standard_normal(signal.shape)).astype(np.float32))
     for level in (0.02, 0.1, 0.5):
         assert line.variance(np.array(level)) == pytest.approx(gain * level + sigma**2, rel=within)
-
-
-@pytest.mark.parametrize("sigma", [0.005, 0.1])
-def test_one_level_of_a_frame_is_that_of_its_noise(sigma: float) -> None:
-    """Over a ramp, which fills few directions: five standard errors of a variance of n values, sqrt(2 / n), are 2.3 %.
-
-    The eigenvalues of noise scatter around it by their number over that of pixels, 256 / 24,576 = 1 % of the variance
-    in skew at most (Marchenko and Pastur), by which dropping the largest may move their mean.
-    """
-    shape = (4, 128, 192)
-    ramp = np.linspace(0, 0.5, shape[2]) + np.linspace(0, 0.3, shape[1])[:, None]
-    image = (ramp + sigma * np.random.default_rng(5).standard_normal(shape)).astype(np.float32)
-    line = noise_of_patches(image)
-    assert line.slope == 0
-    assert line.offset == pytest.approx(sigma**2, rel=0.033)
-
-
-def test_one_level_step_by_step() -> None:
-    """The paper's algorithm over a list of patches, with numpy's own covariance and the statistics module."""
-    image = noisy_and_clean(4, LINES["read noise too"], size=(64, 96))[0]
-    patches = [image[:, y : y + 8, x : x + 8].ravel() for y in range(57) for x in range(89)]
-    values = sorted(np.linalg.eigvalsh(np.cov(np.array(patches, np.float64), rowvar=False, bias=True)))
-    while statistics.fmean(values) > statistics.median(values):
-        values.pop()
-    assert noise_of_patches(image).offset == pytest.approx(statistics.fmean(values), rel=1e-9)
-    assert len(values) < 256  # the scene's directions are gone
-
-
-def test_frames_without_one_level() -> None:
-    with pytest.raises(DatasetError, match="shows no noise: chen2015"):
-        noise_of_patches(np.full((4, 64, 96), 0.2, np.float32))
-    for side in (4, 56):
-        with pytest.raises(DatasetError, match=rf"has {max(side - 7, 0) ** 2} patches, and chen2015 needs 2560"):
-            noise_of_patches(np.zeros((4, side, side), np.float32))
 
 
 def test_the_line_of_figures() -> None:

@@ -262,19 +262,6 @@ def test_damaged_frames_are_listed_and_the_rest_is_predicted(
     assert "11 frames predicted" in shown
 
 
-def test_one_noise_level_is_for_bm3d_alone() -> None:
-    pytest.importorskip("bm3d")
-    denoiser = BaselineDenoiser("bm3d", noise="chen2015")
-    assert denoiser.settings(["DemoAlpha"], (4,))["noise"] == "each frame's own, by chen2015"
-    assert BaselineDenoiser("bm3d").settings(["DemoAlpha"], (4,))["noise"] == "each frame's own"
-    known = known_profile(CAMERAS[0], (800, 1600, 3200))
-    for name, profiles in (("anscombe-bm3d", ()), ("input", ()), ("bm3d", (known,))):
-        with pytest.raises(ArgumentError, match="one level for a frame, for bm3d without a profile; found that"):
-            BaselineDenoiser(name, profiles, noise="chen2015")
-    with pytest.raises(ArgumentError, match="noise must be"):
-        BaselineDenoiser("bm3d", noise="foi2008")  # type: ignore[arg-type]
-
-
 def test_where_the_noise_is_known_from(pristine: Tree, tmp_path: Path) -> None:
     """From the profile alone where there is one; without, a frame that does not tell its noise is named."""
 

@@ -24,7 +24,7 @@ WHY = "half of the frames are of another planet; photograph this one"
 GAIN_CELL, ROW_CELL = 3, 7  # of a table's row
 CELLS: dict[str, tuple[int, ...]] = {"gain": (3,), "shape": (4, 5), "read noise": (6,), "row noise": (7,)}
 OF_FIGURE: dict[str, tuple[str, ...]] = {
-    "gain": ("gain_dn_per_e", "gain_error", "gain_by_channel", "gain_spatial_dn_per_e"),
+    "gain": ("gain_dn_per_e", "gain_error", "gain_by_channel"),
     "shape": (
         *("tukey_lambda", "tukey_lambda_error", "sigma_tl_dn", "sigma_tl_error_dn"),
         *("ppcc_lambda", "ppcc_sigma_tl_dn"),

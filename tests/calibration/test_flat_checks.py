@@ -192,15 +192,13 @@ def test_light_that_falls_off_steeply_is_on_the_line(
     assert abs(there(found.gain).value - 1) < 5 * there(found.gain).error < 0.1
 
 
-def test_the_published_method_is_not_given_where_there_is_no_line() -> None:
-    """It takes the chart's patches for noise: K of 12,000 in place of 1."""
+def test_no_gain_is_given_where_there_is_no_line() -> None:
     setting = Setting(shape=(256, 1536), levels=(0.3, 0.6, 0.9))
     body = Body(Camera(shape=setting.shape), np.random.default_rng(1))
     bias = body.bias_frames(4)
     for light, is_given in ((clean, True), (chart(0.3), False)):
         found = calibrated_arrays(body.camera.sensor, bias, light(setting, np.random.default_rng(9)))
         assert (found.gain is not None) is is_given
-        assert (found.spatial is not None) is is_given
         assert ("gain" in found.withheld) is not is_given
         assert found.tukey_lambda is not None, "the read noise is of the bias frames"
 

@@ -35,7 +35,7 @@ def test_noise_below_0_is_withheld_and_k_is_not(camera: Camera, zeros: tuple[flo
     assert found.withheld == {"shape", "read noise", "row noise", "colour bias"}
     assert zeros[0] < said.statistic < zeros[1]
     assert f"values end at 0 DN, where {100 * said.statistic:.2g} % of the bias frames' values lie" in said.text
-    assert (found.read, found.plot, found.single_frame, found.parameters, found.reproduction) == (None,) * 5
+    assert (found.read, found.plot, found.parameters, found.reproduction) == (None,) * 4
     assert (found.tukey_lambda, found.sigma_tl_dn, found.sigma_gauss_dn, found.sigma_row_dn) == (None,) * 4
     assert found.colour_bias is None
     assert abs(there(found.gain).value - camera.gain) < 5 * there(found.gain).error < 0.1 * camera.gain

@@ -212,7 +212,7 @@ def every_kind() -> Plan:
     speeds = tuple((iso, Fraction(iso) * Fraction(9, 10)) for iso in CAMERA.isos)
     camera = replace(CAMERA, true_isos=speeds)
     protocol = CaptureProtocol(100, (800,), (1, 10), repeats=2, references=3)
-    frames = plan_calibration(camera, 100, (100, 800), Fraction(1, 2), bias_frames=4, warm=True)
+    frames = plan_calibration(camera, 100, (100, 800), Fraction(1, 2), bias_frames=4)
     plan = make_plan(camera, protocol, {"scene-1": Fraction(4)}, frames).add_note("scene-1", "books, ünïcode")
     return plan.set_aperture("scene-1", Fraction("5.6"))
 

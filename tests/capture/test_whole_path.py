@@ -1,4 +1,4 @@
-"""From plan to evaluated set, as a photographer goes; repeated frames, other apertures, a warm sensor."""
+"""From plan to evaluated set, as a photographer goes; repeated frames, other apertures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,17 +17,15 @@ from capture.check import check
 from capture.cli import main as capture
 from capture.plan import Plan, make_plan
 from capture.protocol import CaptureProtocol
-from capture.shots import ScenePlan, plan_calibration
-from eldata import CalibrationFrames
+from capture.shots import ScenePlan
 from eldata.cli.main import main as eldata
 from eldata.datasets import PairDataset
-from eldata.datasets.calibration_frames import flat_pairs
 from eldata.demo.camera import CAMERAS, SimulatedCamera
 from eldata.demo.scenes import scene_radiance
 from eldata.manifest import load_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
-from tests.capture.simulated import CAMERA, START, Nights, as_planned, run_capture, shoot, whole_plan
+from tests.capture.simulated import CAMERA, START, Nights, run_capture, shoot, whole_plan
 from tests.shared import there
 
 PROTOCOL = CaptureProtocol(noisy_isos=(800,), low_light_factors=(10, 100), repeats=3, references=2)
@@ -176,40 +173,3 @@ def test_apertures_are_compared(tmp_path: Path) -> None:
         *[(f"{n:04d}", Fraction(100), "0009") for n in (6, 7, 8)],
     ]
     assert "3 noisy frames of each, 2 references before and after" in nights.csv.with_suffix(".json").read_text()
-
-
-# --- a warm sensor ----------------------------------------------------------------------------------------------------
-
-
-def test_bias_frames_of_a_warm_sensor(tmp_path: Path) -> None:
-    """They are where eldata calibrate takes them from, and the usual frames are as if there were no other."""
-    nights, isos = Nights(tmp_path), (100, 800)
-    settings: dict[str, Any] = {"bias_frames": 4, "flat_levels": (HALF,)}
-    frames = plan_calibration(CAMERA, 100, isos, Fraction(1), **settings, warm=True)
-    plan, shots = replace(LRID, calibration=frames), frames.shots
-    assert [shot.number for shot in shots] == list(range(1, 2 * (4 + 2 + 4) + 1))
-    assert shots[:12] == plan_calibration(CAMERA, 100, isos, Fraction(1), **settings).shots
-    assert {shot.series for shot in shots[12:]} == {"warm"}
-    order = (shots[:12], plan.scenes[0].shots, shots[12:])  # the cold frames before the scene, the warm ones after it
-    shoot(nights.folder / "card", [one for some in order for one in as_planned(some)])
-    output = nights.add(plan, nights.folder / "card", options=())
-    assert "bias frames of ISO 800 (warm)" in output
-    assert "30 of 30 shots have a file" in output
-    assert nights.problems() == []
-    for series in ("", "warm"):  # by the folders alone
-        placed = CalibrationFrames(nights.data / CAMERA.name / series)
-        times_s = [placed.read(record).exposure.exposure_s for record in placed.of("bias", 800)]
-        assert times_s == [Fraction(1, 8000)] * 4
-    manifest = load_manifest(nights.csv)
-    listed = CalibrationFrames(nights.data, manifest=nights.csv)
-    assert list(listed.records) == [row for row in manifest.records if row.role in ("bias", "flat") and not row.flags]
-    pairs, single = flat_pairs(listed.of("flat", 100))
-    assert (len(listed.records), len(pairs), single) == (12, 1, ())
-    calibration = [row for row in manifest.records if row.role in ("bias", "flat")]
-    assert {(row.path.rpartition("/")[0], row.flags) for row in calibration} == {
-        *((f"{CAMERA.name}/{role}/ISO{iso}", ()) for role in ("bias", "flat") for iso in isos),
-        *((f"{CAMERA.name}/warm/bias/ISO{iso}", ("warm-sensor",)) for iso in isos),
-    }
-    bias = tuple(row for row in calibration if row.role == "bias")  # flats are too small
-    names = [group.name for group in check(replace(manifest, records=bias), nights.folder / "data").groups]
-    assert names == [f"AcmeNocturne bias ISO {iso}{warm}" for warm in ("", " warm-sensor") for iso in isos]

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eldata.base.arrays import read_rgb16
 from eldata.datasets.published import DRVDataset
 from eldata.evaluation import evaluate, load_result, save_clip_prediction
 from eldata.manifest.table import save_records
@@ -87,18 +86,6 @@ def test_json_csv_tables_and_page(eldata: Cli, drv: SmallDrv, soft: Path, tmp_pa
     # Two clips are two scenes: both are among the worst. Of each, the frame with the lowest PSNR is shown.
     assert text.count("the frame with the lowest PSNR") == 2
     assert page.count('data-layer="input"') == page.count('data-layer="error"') == 2
-
-
-def test_the_noisy_input(eldata: Cli, drv: SmallDrv, tmp_path: Path) -> None:
-    """It equals the score of the frames themselves, saved as predictions."""
-    for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
-        frames = np.stack([read_rgb16(drv.data / path) for path in record.frames]).transpose(0, 3, 1, 2)
-        save_clip_prediction(tmp_path / "own", record, frames)
-    text = run(eldata, drv, "--baseline", "input", *CHOSEN, "--html", tmp_path / "b.html")
-    assert text == run(eldata, drv, tmp_path / "own", *CHOSEN)
-    assert "The input itself on drv" in (tmp_path / "b.html").read_text(encoding="utf-8")
-    baseline = evaluate(None, manifest=drv.csv, root=drv.root, ids=["0007", "0013"], baseline="input")
-    assert baseline.provenance["predictions"] == "none: the input itself"
 
 
 # --- which clips ------------------------------------------------------------------------------------------------------

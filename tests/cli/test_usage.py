@@ -97,7 +97,6 @@ def test_ctrl_c_before_a_command_begins_is_one_line(
         ("demo x --scenes 0", "scenes must be 1 or more"),
         ("demo x --beside dct --calibration", "--beside is about the demo that scores"),
         ("demo x --scenes 2 --calibration", "--scenes is about the demo that scores"),
-        ("demo x --without shading", "--without is about calibration frames"),
         ("demo x --calibration --seed -1", "seed must be 0 or more; found -1"),
         ("evaluate x", "one of the arguments --dataset --manifest is required"),
         ("evaluate --dataset eld", "one of the arguments PREDS --baseline is required"),

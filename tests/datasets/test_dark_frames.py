@@ -196,8 +196,10 @@ def test_frames_of_a_clip_have_dark_frames_of_their_own_from_one_place(bias: Pat
         for dn, name in zip(in_dn(item), names, strict=True):
             area = above_black(name)[top : top + 32, left : left + 32]
             np.testing.assert_allclose(dn, pack(area, crop.cfa), rtol=2e-6, atol=1e-4)
-    with pytest.raises(ArgumentError, match=r"windows of 3 frames, .* need 6 dark frames of an ISO; ISO 1600 has 3"):
-        SyntheticClips(clips, "SonyA7S2", model=model, **options | {"frames": 3})
+    with pytest.raises(
+        ArgumentError, match=r"windows of 4 frames, .* need as many dark frames of an ISO; ISO 1600 has 3"
+    ):
+        SyntheticClips(clips, "SonyA7S2", model=model, **options | {"frames": 4})
 
 
 # --- refused by name --------------------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from eldata.datasets import (
     set_epoch,
     training_loader,
 )
-from eldata.datasets.synthetic.draws import Turns, fewest_members
+from eldata.datasets.synthetic.draws import Turns
 from eldata.raw.levels import XTRANS_CFA
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
@@ -165,11 +165,11 @@ def test_groups_come_by_their_weights_and_their_members_stay_level(weights: list
 
 @pytest.mark.parametrize("each", [2, 3, 5])
 def test_members_of_one_turn_are_different(each: int) -> None:
-    """With the fewest members that there may be, over 400 rounds: no turn has one twice, and they stay level."""
-    size = fewest_members(each)
-    turns, used = Turns(1, [1.0], [size], each), Counter[int]()
-    for place in range(400 * size // each):
-        members = turns.at(place)[1]
-        assert len(set(members)) == each
-        used.update(members)
-    assert max(used.values()) - min(used.values()) <= 1
+    """Nor does a round have one twice; those that it leaves out stand in others."""
+    for size in (each, 2 * each + 1):
+        turns, seen = Turns(1, [1.0], [size], each), set[int]()
+        for first in range(0, 200, size // each):
+            used = [member for place in range(first, first + size // each) for member in turns.at(place)[1]]
+            assert len(set(used)) == len(used) == size // each * each
+            seen.update(used)
+        assert seen == set(range(size))

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,7 @@ import eldata.demo.calibration
 from eldata.base.workers import Workers
 from eldata.calibration import Calibration
 from eldata.cli.main import main
-from eldata.demo.body import Body, FixedFeatures
+from eldata.demo.body import Body
 from eldata.demo.calibration import compare_with_truth, run_calibration_demo
 from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, CalibrationCamera, make_calibration_frames
 from eldata.errors import ArgumentError
@@ -31,7 +30,6 @@ from eldata.records import Sensor
 from tests.baselines.travelling import Travelling
 from tests.calibration.draws import drawn_noise
 from tests.calibration.simulation import XTRANS
-from tests.cases import in_one_test
 from tests.shared import there
 
 ISOS = (100, 400, 1600)
@@ -126,28 +124,6 @@ def test_the_table_of_errors_is_found_less_true(demo: tuple[Path, Calibration, s
         assert float(row[6]) == pytest.approx(largest, abs=6e-4)
 
 
-OFF = {
-    "shading": {"bias_shading_dn": 0.0, "vignetting": 0.0},
-    "hot-pixels": {"hot_share": 0.0},
-    "fixed-pattern": {"prnu": 0.0, "dsnu_dn": 0.0, "column_pattern_dn": 0.0},
-}
-
-
-@in_one_test("without", [["shading"], ["hot-pixels"], ["fixed-pattern"], list(OFF)])
-def test_without(without: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each option switches off what its name says, and no more."""
-    asked: list[FixedFeatures] = []
-    monkeypatch.setattr(
-        eldata.demo.calibration, "run_calibration_demo", lambda *_, features, **__: asked.append(features)
-    )
-    options = [word for name in without for word in ("--without", name)]
-    assert main(["demo", str(tmp_path / "x"), "--calibration", *options]) == 0
-    off = {field: value for name in without for field, value in OFF[name].items()}
-    assert asked == [replace(DEMO_FEATURES, **off)]
-    if len(without) == len(OFF):
-        assert asked == [FixedFeatures()]
-
-
 # --- the frames, and the truth beside them ----------------------------------------------------------------------------
 
 SIZE = (64, 96)
@@ -224,29 +200,6 @@ def test_levels_from_5_to_80_percent_under_one_lamp(levels: int, tmp_path: Path)
         for flat in entry["flats"]:
             light = lamp * float(Fraction(flat["exposure_s"])) * entry["gain_dn_per_e"]
             assert flat["mean_level_dn"] == pytest.approx(light)
-
-
-# --- truth ----------------------------------------------------------------------------------------------------------
-
-
-def test_the_truth_is_complete(truth: dict[str, Any]) -> None:
-    assert (truth["camera"], truth["seed"], truth["bias_frames"]) == ("DemoGamma", 0, 3)
-    assert (truth["height"], truth["width"]) == SIZE
-    assert truth["cfa"] == [[0, 1], [3, 2]]
-    assert (truth["black_level_dn"], truth["white_level_dn"]) == ([512.0] * 4, 16383.0)
-    assert FixedFeatures(**truth["features"]) == DEMO_FEATURES
-    assert truth["bias_exposure_s"] == "0.000125"
-    assert [entry["iso"] for entry in truth["isos"]] == list(TWO_ISOS)
-    sensor = replace(DEMO_GAMMA.sensor, height=SIZE[0], width=SIZE[1])
-    body = Body(sensor, DEMO_FEATURES, np.random.default_rng([0, 0]))
-    assert truth["hot_pixels"] == body.hot.sum()
-    for entry in truth["isos"]:
-        noise = DEMO_GAMMA.noise_at(entry["iso"])
-        stated = {**asdict(noise), "colour_bias_dn": list(noise.colour_bias_dn)}
-        assert {key: entry[key] for key in stated} == stated
-        assert entry["sigma_gauss_dn"] == noise.sigma_gauss_dn
-        assert entry["pattern_scale"] == math.sqrt(noise.gain_dn_per_e)
-        assert entry["colour_bias_with_pattern_dn"] == list(body.colour_bias_dn(noise))
 
 
 # --- other cameras ----------------------------------------------------------------------------------------------------

@@ -20,8 +20,6 @@ from eldata import metrics
 from eldata.datasets import ELDDataset
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate
-from eldata.metrics.image_score import factor_by, score_by
-from eldata.metrics.registry import IMAGES
 from eldata.protocols import PROTOCOLS
 from eldata.raw import read_raw, write_dng
 from eldata.sources.frames import Files
@@ -123,28 +121,6 @@ def test_the_mean_is_that_of_the_functions(module: Any, function: Callable[..., 
     expected = math.fsum(function(*pair, data_range=data_range) for pair in pairs) / 5
     assert metric.compute().dtype == torch.float64
     assert float(metric.compute()) == expected
-
-
-# Of those that score alike, one: rules, and where they hold.
-WAYS = {
-    (one.rules, one.region, one.rescaling_region): name
-    for name, one in PROTOCOLS.items()
-    if one.space == "raw" and one.kind is IMAGES and one.ssim_planes == "packed"
-}
-
-
-@pytest.mark.parametrize("protocol", WAYS.values())
-def test_every_protocol_of_raw_images(protocol: str) -> None:
-    """Regions and rules are the protocol's: the score of the crop by the functions that evaluate uses."""
-    preds, target = images(1, size=(520, 530))
-    metric = ProtocolScore(protocol)
-    metric.update(preds, target)
-    rules = PROTOCOLS[protocol]
-    region = rules.crop((4, 520, 530))
-    part = rules.factor_crop((4, 520, 530))
-    factor = factor_by(preds[0][part], target[0][part], rules.rules)
-    expected = score_by(preds[0][region], target[0][region], rules.rules, factor=factor)
-    assert numbers(metric.compute()) == {"psnr_db": expected.psnr_db, "ssim": expected.ssim}
 
 
 # --- batches ------------------------------------------------------------------------------------------------------

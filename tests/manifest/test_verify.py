@@ -25,10 +25,8 @@ from eldata.manifest.table import save_records
 from eldata.manifest.verify import check_files, verify
 from eldata.manifest.verify_report import Level, Problem, VerifyReport
 from eldata.records import Exposure
-from tests.cli.conftest import assert_golden
 from tests.trees import ALPHA, BETA, Tree, flip_compressed_byte, frame, retake, scale_exposure, swap
 
-GOLDEN = Path(__file__).parent / "golden"
 REFERENCES = (1, 6, 11, 16)
 
 
@@ -364,26 +362,3 @@ def test_a_folder_of_manifests(tree: Tree) -> None:
         shutil.copy(shipped_manifest("eld").path.with_suffix(suffix), tree.csv.parent)
     assert {manifest.name for manifest in find_manifests(tree.csv.parent)} == {"eld", "eld-demo"}
     assert verify(tree.csv.parent, tree.root).ok
-
-
-# --- reports ------------------------------------------------------------------------------------------------------
-
-
-def damage(tree: Tree) -> None:
-    """One of each, but for what other people's libraries put into words."""
-    tree.file(2).write_bytes(b"")
-    tree.file(3).unlink()
-    retake(tree.file(4), model="Demo Beta")
-    scale_exposure(tree.file(8), Fraction(1, 2))
-    tree.file(10).rename(tree.file(10).with_suffix(".DNG"))
-    shutil.copy(tree.file(16), tree.file(17))
-    shutil.rmtree(tree.data / "DemoBeta")
-
-
-@pytest.mark.parametrize(("name", "level"), [("clean-full", "full"), ("damaged", "metadata")])
-def test_the_text_of_a_report(tree: Tree, name: str, level: Level) -> None:
-    """Word for word, as a person reads it. ELDATA_UPDATE_GOLDEN=1 rewrites the files in golden/: read the diff."""
-    if name == "damaged":
-        damage(tree)
-    text = check(tree, level).format_text().replace(str(tree.root), "ROOT") + "\n"
-    assert_golden(name, text, GOLDEN)

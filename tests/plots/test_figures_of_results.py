@@ -142,15 +142,6 @@ def test_infinite_scores_are_left_out() -> None:
         scored.plot("psnr")
 
 
-def test_the_axes_of_others_are_drawn_into() -> None:
-    figure = Figure()
-    left, right = figure.subplots(1, 2)
-    scored = result(scenes=2)
-    assert scored.plot(ax=right) is figure
-    assert len(left.lines) == 0
-    assert len(points_of(right)) == 2 * len(scored.scores)
-
-
 def test_a_comparison_in_one_line_and_in_a_notebook() -> None:
     compared = compare({"a": result(), "b": result(method=1, gain_db=0.5), "c": result(method=2)})
     assert_one_line(compared, "Comparison(96 common images; PSNR a ")
@@ -179,13 +170,6 @@ def test_hostile_names_stay_text() -> None:
     assert_one_line(profile, "CameraProfile(")
     assert_shows_in_a_notebook(profile, HOSTILE)
     assert shown_png(profile.plot("TL"))
-
-
-def test_many_rows_are_counted() -> None:
-    profile = CameraProfile.load("SonyA7S2")
-    many = replace(profile, rows=profile.rows * 5)
-    assert_shows_in_a_notebook(many, f"… and {len(many.rows) - 60} more")
-    assert "more" not in profile._repr_html_().split("</table>")[0]
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)

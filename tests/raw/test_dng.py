@@ -73,12 +73,12 @@ def test_exposures_come_back_as_exact_fractions(exposure: Exposure, tmp_path: Pa
     assert (header.make, header.model, header.exposure) == ("Acme", "Nocturne 1", exposure)
 
 
-def test_an_exposure_in_floats_is_the_decimals_that_they_print_as(tmp_path: Path) -> None:
+def test_an_exposure_in_floats_is_the_fractions_that_they_are_nearest_to(tmp_path: Path) -> None:
     floats: Any = Exposure(iso=800.0, exposure_s=1 / 30, f_number=np.float32(2.8))  # type: ignore[arg-type]
     write_dng(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(), floats)
     found = read_header(tmp_path / "a.dng").exposure
     assert found.iso == 800
-    assert found.exposure_s == Fraction(1, 30)  # the nearest of 32 bits
+    assert found.exposure_s == Fraction(1, 30)
     assert found.f_number == pytest.approx(2.8)
     wrong: dict[str, Any] = {"iso": 800.5, "exposure_s": INF, "f_number": NAN}
     for name, value in wrong.items():

@@ -19,7 +19,7 @@ from PIL.TiffImagePlugin import IFDRational
 from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
 from eldata.raw.container import read_container
 from eldata.raw.reading import check_sizes, visible_cfa
-from eldata.records import Exposure, RawHeader, exact_fraction
+from eldata.records import Exposure, RawHeader
 from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
@@ -72,7 +72,7 @@ def test_phase_and_levels_are_those_of_the_visible_area(name: str, margins: tupl
     assert 0 <= top - margins[0] <= 1
     assert 0 <= left - margins[1] <= 1
     assert frame.sensor.cfa == shifted(cfa, top - margins[0], left - margins[1])
-    assert [exact_fraction(level) for level in frame.sensor.black_level_dn] == stated
+    assert frame.sensor.black_level_dn == tuple(map(float, stated))
     assert frame.mosaic.shape == (frame.sensor.height, frame.sensor.width)
     assert read_header(path).levels_dn == (float(sum(at_sites) / len(at_sites)), 16000.0)
     if name not in {**QUAD, **NONA}:  # of which LibRaw has other colours
@@ -121,7 +121,7 @@ def test_colours_of_which_the_file_states_nothing_are_libraws(tmp_path: Path) ->
     raw.raw_pattern, raw.raw_color = np.zeros((2, 2)), lambda y, x: ((0, 1), (3, 2))[y % 2][x % 2]
     assert visible_cfa(tmp_path, raw, None) == (BAYER["GBRG"], (0, 1, 2, 3))
     raw.color_desc = b"RGBE"
-    check_refused(tmp_path, r"array: RGBE \(with emerald sites\), 2 x 2", lambda path: visible_cfa(path, raw, None))
+    check_refused(tmp_path, "array: 2 x 2 sites of BEGR", lambda path: visible_cfa(path, raw, None))
     raw.raw_pattern = None
     check_refused(tmp_path, "array: 0 x 0 sites", lambda path: visible_cfa(path, raw, None))
 

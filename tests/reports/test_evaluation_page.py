@@ -21,7 +21,6 @@ from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import worst_and_best, worst_and_best_images
 from eldata.evaluation.results import EvaluationResult, saved_result
 from eldata.isp.rendering import brightening, preview
-from eldata.plots.axes import drawable
 from eldata.protocols.protocol import fields_digest
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
@@ -192,11 +191,6 @@ def test_wrong_exposure_shows() -> None:
     text = checked(evaluation_page(result(protocol="eld-uncorrected"), ())).text
     assert "there is no factor to show" in text
     assert "Rescaling that was found" not in text
-
-
-def test_names_that_the_font_lacks_are_boxes() -> None:
-    assert drawable("相A", 10) == "□A"
-    assert drawable("abcdefghij", 6) == "abcde…"
 
 
 def test_errors(evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_path: Path) -> None:

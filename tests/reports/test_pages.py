@@ -67,7 +67,6 @@ def sparse(isos: tuple[IsoCalibration, ...]) -> str:
     bare = replace(
         bare,
         transfer=None,
-        spatial=None,
         flat_frames=0,
         rows=replace(bare.rows, rows=quiet),
         read=replace(there(bare.read), tukey_lambda_error=math.nan, sigma_gauss_error_dn=math.nan),
@@ -75,7 +74,7 @@ def sparse(isos: tuple[IsoCalibration, ...]) -> str:
         pattern=replace(bare.pattern, shading_dn=np.zeros_like(bare.pattern.shading_dn)),
         remarks=(HOSTILE, "\x1b[2J" + "long" * 100),
     )
-    return calibration_page(calibrations.calibration((bare, replace(isos[1], spatial=None)), HOSTILE))
+    return calibration_page(calibrations.calibration((bare, isos[1]), HOSTILE))
 
 
 @pytest.fixture(scope="module")
@@ -208,7 +207,7 @@ def test_what_is_missing_is_said(sparse: str) -> None:
 
 
 def test_no_gain_at_all(isos: tuple[IsoCalibration, ...], calibration: Calibration) -> None:
-    without = replace(isos[0], transfer=None, spatial=None, reproduction=None)
+    without = replace(isos[0], transfer=None, reproduction=None)
     text = calibration_page(replace(calibration, isos=(without,), modes=()))
     assert "ISO 100; K is not known, for want of flats." in checked(text).text
     assert "K over ISO" not in text

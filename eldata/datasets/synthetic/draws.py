@@ -1,7 +1,8 @@
 """Draws of a synthetic item: its camera, noise parameters and ratio, and whose turn it is among the dark frames.
 
-Turns: every member of a group is used once before any is used twice, in any reading order. Which member has its turn at
-a place follows from the seed and the place alone: any number of workers read in any order, and nobody keeps count.
+Turns: every member of a group is used once before any is used twice, in any reading order; where several have a turn
+together, a round leaves out those too few for one. Which member has its turn at a place follows from the seed and the
+place alone: any number of workers read in any order, and nobody keeps count.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -21,10 +22,6 @@ from eldata.base.seeds import purpose_sequence
 from eldata.errors import ArgumentError
 from eldata.noise.parameters import NoiseDraw
 from eldata.noise.profile import CameraProfile, RowChoice
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 Camera: TypeAlias = CameraProfile | str | Path
 Cameras: TypeAlias = Camera | Sequence[Camera]
@@ -199,7 +196,7 @@ class Turns:
     sizes
         Members of each group.
     each
-        Members that have a turn together, all different: for that a group must have :func:`fewest_members`.
+        Members that have a turn together, all different; those too few for one at a round's end sit it out.
     """
 
     def __init__(self, seed: int, weights: Sequence[float], sizes: Sequence[int], each: int = 1) -> None:
@@ -218,7 +215,10 @@ class Turns:
             np.random.default_rng(purpose_sequence(self.seed, 0, _BLOCKS, block)).shuffle(groups)
         group = int(groups[within])
         turn = before[group] + int((groups[:within] == group).sum())
-        return group, tuple(self._find_member(group, turn * self.each + more) for more in range(self.each))
+        turn_round, number = divmod(turn, self.sizes[group] // self.each)
+        sequence = purpose_sequence(self.seed, 0, _MEMBERS, group, turn_round)
+        order = np.random.default_rng(sequence).permutation(self.sizes[group])
+        return group, tuple(order[number * self.each : (number + 1) * self.each].tolist())
 
     def _counts(self, places: int) -> list[int]:
         """Count the turns of each group in the first places."""
@@ -227,42 +227,3 @@ class Turns:
             counts.append(int(places * share))
             places -= counts[-1]
         return counts
-
-    def _find_member(self, group: int, number: int) -> int:
-        """Find a member of a group by its number in the group's endless sequence of rounds."""
-        turn_round, place = divmod(number, self.sizes[group])
-        return int(self._order(group, turn_round)[place])
-
-    def _order(self, group: int, turn_round: int) -> NDArray[np.int64]:
-        """Return the members in the order of one round.
-
-        The first ``each - 1`` may stand in one turn with the last ones of the round before. Those that do occur there
-        change places with others from the middle, so that a round's end is what was drawn, and no round depends on more
-        than the one before.
-        """
-        order = self._draw_order(group, turn_round)
-        edge = self.each - 1
-        if edge == 0 or turn_round == 0:
-            return order
-        last = set(self._draw_order(group, turn_round - 1)[-edge:].tolist())
-        others = (place for place in range(edge, len(order) - edge) if order[place] not in last)
-        for place in range(edge):
-            if order[place] in last:
-                other = next(others)
-                order[place], order[other] = order[other], order[place]
-        return order
-
-    def _draw_order(self, group: int, turn_round: int) -> NDArray[np.int64]:
-        """Draw a random order of a group's members for one round."""
-        sequence = purpose_sequence(self.seed, 0, _MEMBERS, group, turn_round)
-        return np.random.default_rng(sequence).permutation(self.sizes[group])
-
-
-def fewest_members(each: int) -> int:
-    """Compute the fewest members of a group for turns of several different ones.
-
-    Let e be ``each - 1``. Of n members, n - 2 e stand in the middle of a round. If h of the e last ones of the round
-    before stand at its head, h places in the middle must hold none of them, and e - h at most do: n - 2 e - (e - h)
-    must be h or more.
-    """
-    return max(1, each, 3 * (each - 1))

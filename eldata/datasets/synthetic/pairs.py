@@ -20,7 +20,7 @@ from eldata.datasets.batches import threads_here
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, Crops, DrawnItem, Part, Transform, keywords_of
 from eldata.datasets.synthetic.dark_frames import GAIN_SPREAD, DarkFrames
-from eldata.datasets.synthetic.draws import Cameras, Isos, NoiseChoice, Turns, fewest_members
+from eldata.datasets.synthetic.draws import Cameras, Isos, NoiseChoice, Turns
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise._kernels import prepare
 from eldata.noise.model import NoiseMaker, NoiseModel, check_noise_maker, made_exposure
@@ -184,10 +184,10 @@ def _make_turns(owner: str, dark: DarkFrames, choice: NoiseChoice, seed: int, ex
     isos = [iso for iso in choice.isos if iso is not None]
     counts = [len(dark.names(iso)) for iso in isos]
     for iso, count in zip(isos, counts, strict=True):
-        if count < fewest_members(exposures):
+        if count < exposures:
             raise ArgumentError(
-                f"{owner}: windows of {exposures} frames, each with a dark frame of its own, need "
-                f"{fewest_members(exposures)} dark frames of an ISO; ISO {iso:g} has {count}"
+                f"{owner}: windows of {exposures} frames, each with a dark frame of its own, need as many dark frames "
+                f"of an ISO; ISO {iso:g} has {count}"
             )
     return Turns(seed, np.diff(choice.shares, prepend=0.0).tolist(), counts, exposures)
 

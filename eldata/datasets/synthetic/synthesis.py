@@ -29,7 +29,7 @@ from eldata.base.files import (
     write_json,
     write_text,
 )
-from eldata.base.numbers import checked_number
+from eldata.base.numbers import checked_number, simplest_fraction
 from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import CleanScene, clean_scenes
@@ -54,7 +54,7 @@ from eldata.raw.levels import (
     unpack,
 )
 from eldata.raw.reading import read_raw
-from eldata.records import Exposure, FrameRecord, RawFrame, exact_fraction
+from eldata.records import Exposure, FrameRecord, RawFrame
 from eldata.sources.frames import Frame
 
 if TYPE_CHECKING:
@@ -376,7 +376,7 @@ class _Draw:
         ratio = Fraction(round(float(generator.uniform(low, high)) * 100), 100)
         iso = clean.iso  # where the profile knows of none
         if recipe.iso is not None:
-            iso = exact_fraction(recipe.iso)
+            iso = simplest_fraction(recipe.iso)
         elif (of_gain := recipe.profile.iso_at_gain(parameters.gain_dn_per_e)) is not None:
             iso = Fraction(max(1, round(of_gain)))
         exposure_s = (clean.iso * clean.exposure_s / (iso * ratio)).limit_denominator(2**31)

@@ -38,7 +38,7 @@ from eldata.base.files import file_problem
 from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, check_choice
 from eldata.manifest.catalogue import Manifest, load_manifest
 from eldata.protocols.named import default_protocol
-from eldata.records import ExactFloat, Exposure, FrameRecord, PairRecord, Records, Role, Sensor, exact_number
+from eldata.records import Exposure, FrameRecord, PairRecord, Records, Role, Sensor
 from eldata.sources.frames import Frame, Pixels, part_shape
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from eldata.raw.levels import FrameLevels
 
 FORMAT = "eldata-store"
-VERSION = 4
+VERSION = 5
 SUFFIXES = (".h5", ".hdf5")
 
 Compression = Literal["none", "lz4", "zstd"]
@@ -291,14 +291,14 @@ def encode_facts(frames: Iterable[StoredFrame]) -> bytes:
     """Write all facts of frames but their pixels as JSON; what several state alike stands there once.
 
     ``{"sensors": [[fields, whites], ...], "exposures": [fields, ...], "frames": [[path, role, sha256, sensor's number,
-    exposure's number], ...]}``. A number that floats do not hold is a fraction's text.
+    exposure's number], ...]}``. An exposure's numbers are fractions' texts.
     """
     sensors: dict[str, int] = {}
     exposures: dict[str, int] = {}
     rows = []
     for frame in frames:
-        sensor = json.dumps(_to_json((astuple(frame.sensor), frame.channel_white_levels_dn)))
-        exposure = json.dumps(_to_json(astuple(frame.exposure)))
+        sensor = json.dumps((astuple(frame.sensor), frame.channel_white_levels_dn))
+        exposure = json.dumps(astuple(frame.exposure), default=str)
         numbers = sensors.setdefault(sensor, len(sensors)), exposures.setdefault(exposure, len(exposures))
         rows.append([frame.path, frame.role, frame.sha256, *numbers])
     lists = ",".join(sensors), ",".join(exposures), json.dumps(rows)
@@ -310,10 +310,7 @@ def decode_facts(facts: bytes, crc32: int) -> list[StoredFrame]:
     if zlib.crc32(facts) != crc32:
         raise ValueError("what it states of its frames is not what was written")
     data = TextFile("facts", ArgumentError, content=facts).json().data
-    sensors = [
-        (Sensor(make, model, *map(_from_json, numbers)), _from_json(whites))
-        for (make, model, *numbers), whites in data["sensors"]
-    ]
+    sensors = [(Sensor(*map(_to_tuples, fields)), _to_tuples(whites)) for fields, whites in data["sensors"]]
     exposures = [Exposure(*(text and Fraction(text) for text in texts)) for texts in data["exposures"]]
     frames = []
     for number, (path, role, sha256, sensor, exposure) in enumerate(data["frames"]):
@@ -327,19 +324,9 @@ def frame_key(number: int) -> str:
     return f"{number:06d}"
 
 
-def _to_json(value: Any) -> Any:
-    """Convert tuples and exact numbers to JSON types; fractions become text."""
-    if isinstance(value, tuple):
-        return [_to_json(part) for part in value]
-    value = value.fraction if isinstance(value, ExactFloat) else value
-    return str(value) if isinstance(value, Fraction) else value
-
-
-def _from_json(value: Any) -> Any:
-    """Undo :func:`_to_json`."""
-    if isinstance(value, list):
-        return tuple(map(_from_json, value))
-    return exact_number(Fraction(value)) if isinstance(value, str) else value
+def _to_tuples(value: Any) -> Any:
+    """Convert JSON's lists to tuples, as records have them."""
+    return tuple(map(_to_tuples, value)) if isinstance(value, list) else value
 
 
 # --- pixels -------------------------------------------------------------------------------------------------------

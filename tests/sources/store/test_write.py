@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ import pytest
 from eldata.base.arrays import read_rgb16
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError, RawFileError
 from eldata.raw import read_raw
-from eldata.records import Exposure, exact_fraction
+from eldata.records import Exposure
 from eldata.sources.store import Store, build_store, source_of_dataset, source_of_folder, verify_store, write
 from tests.drv_tree import SmallDrv, small_drv
 from tests.raw.helpers import random_mosaic, write_plain_dng
@@ -71,7 +70,7 @@ def test_a_store_holds_every_file_once_as_decoded(compression: Any, jobs: int, t
     assert sorted(path.name for path in tmp_path.iterdir()) == ["store.h5"]
 
 
-def test_a_store_keeps_fractions(tmp_path: Path) -> None:
+def test_a_store_keeps_what_files_state(tmp_path: Path) -> None:
     """Levels, white balance and matrix come back to the last digit, negative ones too, with the matrix's light."""
     (tmp_path / "clean").mkdir()
     matrix = (2, -1, 0, -1, 4, 1, 0, 1, 2)
@@ -84,15 +83,9 @@ def test_a_store_keeps_fractions(tmp_path: Path) -> None:
         (50728, "2I", 3, (493494, 10**6, 1, 1, 606815, 10**6), True),
     )
     (held,) = Store(pack_folder(tmp_path / "clean", tmp_path / "store.h5").store).frames
-    wanted = read_raw(tmp_path / "clean" / "a.dng").sensor
-    assert held.sensor == wanted
-    assert exact_fraction(held.sensor.black_level_dn[0]) == Fraction(1535, 3)
-    numbers = [
-        [*sensor.black_level_dn, *(sensor.white_balance or ()), *sum(sensor.xyz_to_camera or (), ())]
-        for sensor in (held.sensor, wanted)
-    ]
-    assert len(numbers[0]) == 17
-    assert [*map(exact_fraction, numbers[0])] == [*map(exact_fraction, numbers[1])]
+    assert held.sensor == read_raw(tmp_path / "clean" / "a.dng").sensor
+    assert held.sensor.black_level_dn == (1535 / 3,) * 4
+    assert None not in (held.sensor.white_balance, held.sensor.xyz_to_camera)
 
 
 def test_rgb_clips_stand_in_order_with_their_reference_first(drv: SmallDrv, tmp_path: Path) -> None:

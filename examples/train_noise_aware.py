@@ -1,4 +1,4 @@
-"""Train the network that is told the noise, on clean pictures that every installation has and virtual cameras' noise.
+"""Train the network that is told the noise, on photographs, drawn pictures and the noise of virtual cameras.
 
     python examples/train_noise_aware.py run --steps 2000                 # on a CPU: a beginning
     python examples/train_noise_aware.py run --device cuda --workers 14
@@ -7,11 +7,12 @@ Clean frames are made once (`run/clean.npy`); `run/checkpoint.pt` and a line of 
 500 steps or so, `run/noise_aware.safetensors` at the end, in half precision. The same command goes on after a Ctrl-C or
 a kill. How the network that ships was trained is on its card, in docs/baselines.md.
 
-Clean frames are still lifes of the demo's kind, scikit-image's pictures that the virtual benchmark does not test on,
-and discs that lie upon each other like dead leaves, in sizes, colours and exposures of all kinds. Noise is that of
-virtual cameras, K from 0.05 to 20 DN/e- and factors from 1 to 300, and in half of the crops what no line tells of:
-columns with an offset and pixels that jump. The colour bias, which a profile knows and `denoise` takes off, is left
-out.
+Clean frames are photographs (photographs.py fetches them), averaged so far that they are sharp in each pixel and taken
+back to raw: linear light, in half of them without a camera's contrast curve, through a sensor's filters and white
+balance. Besides, there are scikit-image's pictures that the virtual benchmark does not test on, still lifes of the
+demo's kind, discs that lie upon each other like dead leaves, and charts. Noise is that of virtual cameras, K from 0.05
+to 20 DN/e- and factors from 1 to 300, and in half of the crops each what no line tells of: columns and rows with an
+offset, pixels that jump, a colour cast of the black.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from photographs import STOP, TRAIN, fetch_photographs, photograph_radiance, picture_path
 from PIL import Image
 from safetensors.torch import load_file
 from torch import nn
@@ -57,8 +59,8 @@ GAINS_DN_PER_E = (0.05, 20.0)
 FACTORS = {(1.0, 3.0): 3, (3.0, 8.0): 2, (8.0, 40.0): 2, (40.0, 120.0): 2, (120.0, 300.0): 2}
 MODEL = "P*+G*+R+U"
 SIDE = 256  # of a clean frame, packed pixels
-FRAMES = {"still life": 600, "picture": 700, "leaves": 300}
-HELD = {"still life": 6, "picture": 5, "leaves": 5}  # of the same kinds, and by cameras that are not trained on
+FRAMES = {"photograph": 1040, "picture": 220, "still life": 720, "leaves": 120, "chart": 120}
+HELD = {"photograph": 16, "still life": 4}  # of photographs kept out, and by cameras that are not trained on
 PHASES = (((0, 1), (3, 2)), ((1, 0), (2, 3)), ((3, 2), (0, 1)), ((2, 3), (1, 0)))  # of the CFA, in turn
 FIRST_STILL_LIFE = 1001  # none that the demo, the benchmark or a test shows
 EPOCH = 500  # steps
@@ -66,15 +68,20 @@ SHARE = 1 / 500  # of the present weights in their running mean
 HELD_SIDE, HELD_FACTORS = 128, (1.0, 10.0, 100.0, 250.0)
 TOLD = 0.05  # standard deviation of the logarithm of what the network is told, over what is true
 FLOOR = 0.01  # share of the noise's variance below which an error hardly counts
-# What no line tells of, in standard deviations of the read noise, each in half of the crops: offsets of columns, and a
-# share of pixels that jump by so much.
-COLUMNS, JUMPING, JUMPS = 0.3, 0.03, 4.0
+LAMBDA = (-0.24, 0.3)  # the Tukey lambda distribution has no variance from -0.5 on, and profiles stay above -0.25
+# What no line tells of, in standard deviations of the read noise, each in half of the crops: offsets of columns, of
+# rows that remember the row above, and of colours; and a share of pixels that jump by so much.
+COLUMNS, ROWS, COLOURS, JUMPING, JUMPS = 0.3, 0.5, 0.1, 0.03, 4.0
+MEMORY = 12  # rows, at most
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Train to the end, and write the weights."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path, help="folder of this training; the same command goes on with it")
+    parser.add_argument(
+        "--photographs", type=Path, metavar="FOLDER", default="photographs", help="(default: %(default)s)"
+    )
     parser.add_argument("--begin", type=Path, metavar="FILE", help="weights to begin with, of an earlier run")
     parser.add_argument("--steps", type=int, default=20_000, help="(default: %(default)s)")
     parser.add_argument("--rate", type=float, default=5e-4, help="learning rate at first (default: %(default)s)")
@@ -89,8 +96,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
     torch.backends.cudnn.benchmark = True  # all crops have one size
     seed, workers = options.seed, Workers(max(options.workers, 1))
-    clean = clean_frames(options.run / "clean.npy", FRAMES, seed, workers)
-    held = validation(clean_frames(options.run / "validation.npy", HELD, seed + 1, workers), seed + 1)
+    fetch_photographs(options.photographs)
+    learnt, kept = (tuple(picture_path(options.photographs, name) for name in names) for names in (TRAIN, STOP))
+    clean = clean_frames(options.run / "clean.npy", FRAMES, learnt, seed, workers)
+    held = validation(clean_frames(options.run / "validation.npy", HELD, kept, seed + 1, workers), seed + 1)
     begun = NoiseAwareUNet(seed=seed)
     if options.begin is not None:
         begun.load_state_dict(load_file(options.begin))
@@ -173,34 +182,47 @@ def decibels(network: nn.Module, batch: Mapping[str, Any]) -> torch.Tensor:
 
 def untold(noisy: torch.Tensor, sigma: torch.Tensor) -> torch.Tensor:
     """Return what a sensor adds that no line tells of, for read noise of ``sigma`` (N,)."""
-    count, _, _, width = noisy.shape
-    each = sigma[:, None, None, None] * (torch.rand(2, count, 1, 1, 1, device=noisy.device) * 2 - 1).clamp(min=0)
-    # In any phase R and one green lie in the same columns of the mosaic, B and the other green in those between.
+    count, _, height, width = noisy.shape
+    each = sigma[:, None, None, None] * (torch.rand(4, count, 1, 1, 1, device=noisy.device) * 2 - 1).clamp(min=0)
+    # In any phase R and G2 lie in the same columns of the mosaic, B and G1 in those between; R and G1 share rows.
     columns = torch.randn(count, 2, 1, width, device=noisy.device)[:, [0, 1, 1, 0]]
+    memory = torch.rand((), device=noisy.device) ** torch.arange(MEMORY, device=noisy.device)
+    memory = memory.flip(0) / memory.norm()
+    drawn = torch.randn(count, 1, 2 * height + MEMORY - 1, device=noisy.device)
+    rows = nn.functional.conv1d(drawn, memory[None, None]).reshape(count, height, 2)
+    rows = rows.transpose(1, 2)[:, [0, 0, 1, 1], :, None]
+    colours = torch.randn(count, 4, 1, 1, device=noisy.device)
     places = torch.rand(noisy.shape, device=noisy.device)
     jumps = (places < JUMPING).float() - (places > 1 - JUMPING).float()
-    return COLUMNS * each[0] * columns + JUMPS * each[1] * jumps
+    return COLUMNS * each[0] * columns + JUMPS * each[1] * jumps + ROWS * each[2] * rows + COLOURS * each[3] * colours
 
 
 # --- clean frames -----------------------------------------------------------------------------------------------------
 
 
-def clean_frames(path: Path, counts: Mapping[str, int], seed: int, workers: Workers) -> Kept:
-    """Return clean frames, made once: frame i depends on (seed, i) alone."""
+def clean_frames(
+    path: Path, counts: Mapping[str, int], photographs: tuple[Path, ...], seed: int, workers: Workers
+) -> Kept:
+    """Return clean frames, made once: frame i depends on (seed, i) and the photographs."""
     if not path.exists():
         kinds = [kind for kind, count in counts.items() for _ in range(count)]
-        made = workers.run(clean_frame, [(kind, place, seed) for place, kind in enumerate(kinds)], unit="frame")
+        wanted = [(kind, place, seed, photographs) for place, kind in enumerate(kinds)]
         with atomic_write(path) as file:
-            np.save(file, np.stack(list(made)))
+            np.save(file, np.stack(list(workers.run(clean_frame, wanted, unit="frame"))))
     return Kept(path)
 
 
-def clean_frame(wanted: tuple[str, int, int]) -> NDArray[np.float16]:
+def clean_frame(wanted: tuple[str, int, int, tuple[Path, ...]]) -> NDArray[np.float16]:
     """Return what one of the demo's sensors would see of a picture without noise, packed, white at 1."""
-    kind, place, seed = wanted
+    kind, place, seed, photographs = wanted
     generator = np.random.default_rng([seed, place])
     side, colours = 2 * SIDE, np.arange(3)
-    if kind == "still life":
+    exposure = METERED_SHARE * 2 ** generator.uniform(-2.2, 0.6)
+    if kind == "photograph":
+        radiance = photograph(photographs[place % len(photographs)], side, generator)
+        if generator.random() < 0.4:
+            exposure = float(np.exp(generator.uniform(np.log(0.02), 0)))
+    elif kind == "still life":
         size = int(side * generator.uniform(1, 2.2))
         radiance = window(scene_radiance(FIRST_STILL_LIFE + int(generator.integers(400)), size, size), side, generator)
     elif kind == "picture" and (names := pictures_of(TRAINING_PICTURES)):
@@ -209,6 +231,8 @@ def clean_frame(wanted: tuple[str, int, int]) -> NDArray[np.float16]:
         radiance = window(picture_radiance(name, size, size * 3 // 2), side, generator)
         colours = generator.permutation(3) if generator.random() < 0.5 else colours
         radiance = radiance * (generator.uniform(0.6, 1, (3, 1, 1)) ** generator.uniform(0, 1)).astype(np.float32)
+    elif kind == "chart":
+        radiance = chart(side, generator)
     else:
         radiance = leaves(side, generator)
     known = CAMERAS[generator.integers(len(CAMERAS))].sensor
@@ -216,14 +240,50 @@ def clean_frame(wanted: tuple[str, int, int]) -> NDArray[np.float16]:
     cfa = PHASES[place % len(PHASES)]
     sensor = replace(known, cfa=cfa, height=side, width=side, white_balance=balance)
     mosaic = mosaic_light(radiance[colours].astype(np.float32), sensor)
-    exposure = METERED_SHARE * 2 ** generator.uniform(-2.2, 0.6)
     return np.clip(pack((mosaic * exposure).astype(np.float32), cfa), 0, 1).astype(np.float16)
 
 
-def window(radiance: NDArray[np.float32], side: int, generator: np.random.Generator) -> NDArray[np.float32]:
+def photograph(path: Path, side: int, generator: np.random.Generator) -> NDArray[np.float32]:
+    """Return a part of a photograph, turned by quarters, averaged over 2 x 2 or, where it is large, 3 x 3 pixels."""
+    times = int(generator.choice([2, 3]))
+    light = photograph_radiance(path, times, bool(generator.random() < 0.5))
+    if min(light.shape[1:]) < side:
+        light = photograph_radiance(path, 2)
+        missing = [max(side - length, 0) for length in light.shape[1:]]
+        light = np.pad(light, [(0, 0), *((0, lacks) for lacks in missing)], mode="symmetric")
+    return np.rot90(window(light, side, generator), int(generator.integers(4)), axes=(1, 2))
+
+
+def chart(side: int, generator: np.random.Generator) -> NDArray[np.float32]:
+    """Return a board of patterns that repeat: bars, checks, rings and rays of many periods in two colours each."""
+    light = np.empty((3, side, side), np.float32)
+    cells = int(generator.integers(2, 6))
+    edges = np.linspace(0, side, cells + 1).astype(int)
+    for row, column in np.ndindex(cells, cells):
+        here = np.s_[:, edges[row] : edges[row + 1], edges[column] : edges[column + 1]]
+        y, x = np.mgrid[: light[here].shape[1], : light[here].shape[2]] - 0.5 * side / cells
+        turn, period = (
+            generator.choice([0, np.pi / 2, generator.uniform(0, np.pi)]),
+            np.exp(generator.uniform(1.1, 3.5)),
+        )
+        along, across = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+        phases = (along, np.hypot(x, y), np.arctan2(y, x) * generator.integers(2, 12) * period / 2)
+        wave = np.sin(phases[generator.choice(3, p=(0.6, 0.2, 0.2))] * (2 * np.pi / period))
+        if generator.random() < 0.2:
+            wave = wave * np.sin(across * (2 * np.pi / period))
+        if generator.random() < 0.8:  # sharp, of an edge about a pixel wide
+            wave = np.clip(wave * period / 6, -1, 1)
+        dark, bright = generator.uniform(0, 1, (2, 3, 1, 1)) ** 2
+        if generator.random() < 0.6:
+            dark, bright = dark.mean() * 0.2, bright.mean() * 0.5 + 0.5
+        light[here] = dark + (bright - dark) * (0.5 + 0.5 * wave)
+    return light
+
+
+def window(radiance: NDArray[np.floating], side: int, generator: np.random.Generator) -> NDArray[np.float32]:
     """Return a part of a picture."""
     top, left = (int(generator.integers(length - side + 1)) for length in radiance.shape[1:])
-    return radiance[:, top : top + side, left : left + side]
+    return radiance[:, top : top + side, left : left + side].astype(np.float32)
 
 
 def leaves(side: int, generator: np.random.Generator) -> NDArray[np.float32]:
@@ -274,7 +334,7 @@ def grain(side: int, generator: np.random.Generator) -> NDArray[np.float32]:
 
 def noisy_pairs(source: Kept, batch: int, crop: int, seed: int) -> ConcatDataset[Any]:
     """Return crops of all frames with the noise of virtual cameras, factors as often as they are wanted."""
-    virtual = VirtualCameras(200, replace(LED_RANGES, gain_dn_per_e=GAINS_DN_PER_E), seed=seed)
+    virtual = VirtualCameras(200, replace(LED_RANGES, gain_dn_per_e=GAINS_DN_PER_E, tukey_lambda=LAMBDA), seed=seed)
     per = EPOCH * batch / len(source) / sum(FACTORS.values())
     options: dict[str, Any] = {"model": NoiseModel(MODEL), "clip": "none", "crop": crop, "augment": True}
     return ConcatDataset(

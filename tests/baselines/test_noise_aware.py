@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from safetensors.torch import load_file
 
 from eldata.base.workers import Workers
@@ -62,13 +63,16 @@ def test_before_its_training_it_returns_its_input() -> None:
 
 
 @pytest.fixture
-def example(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """The script of the training, with three frames, and epochs of nine steps."""
+def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """The script of the training, with a frame of each kind, and epochs of nine steps."""
     monkeypatch.syspath_prepend(EXAMPLES)  # whose pictures are the virtual benchmark's
     module = import_module("train_noise_aware")
-    small = {"FRAMES": {"still life": 1, "picture": 1, "leaves": 1}, "HELD": {"picture": 2}, "SIDE": 64, "EPOCH": 9}
+    Image.fromarray(np.random.default_rng(4).integers(0, 256, (200, 150, 3), np.uint8)).save(tmp_path / "small.jpg")
+    names, counts = {"small.jpg": None}, dict.fromkeys(("photograph", "picture", "still life", "leaves", "chart"), 1)
+    small = {"FRAMES": counts, "HELD": {"photograph": 2}, "SIDE": 64, "EPOCH": 9, "TRAIN": names, "STOP": names}
     for name, value in {**small, "HELD_SIDE": 32}.items():
         monkeypatch.setattr(module, name, value)
+    monkeypatch.setattr(module, "fetch_photographs", lambda _: None)  # 170 MB of the distribution's
     network = partial(NoiseAwareUNet, widths=(4, 6), blocks=(1, 1))
     monkeypatch.setattr(module, "NoiseAwareUNet", network)
     threads = torch.get_num_threads()
@@ -77,12 +81,14 @@ def example(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 
 def test_the_training_goes_on_and_another_begins_with_its_weights(example: Any, tmp_path: Path) -> None:
-    frames = example.clean_frames(tmp_path / "frames.npy", {"leaves": 2, "picture": 1}, 5, Workers(1))
+    photographs = (tmp_path / "small.jpg",)
+    frames = example.clean_frames(tmp_path / "frames.npy", {"photograph": 2, "chart": 1}, photographs, 5, Workers(1))
     clean = np.load(frames.path)
     assert clean.shape == (3, 4, 64, 64)
     assert 0 <= clean.min() < clean.max() <= 1
-    assert np.array_equal(clean[1], example.clean_frame(("leaves", 1, 5)))
+    assert np.array_equal(clean[1], example.clean_frame(("photograph", 1, 5, photographs)))
     given = ["--steps", "18", "--batch", "2", "--crop", "32", "--precision", "float32"]
+    given += ["--photographs", str(tmp_path)]
     example.main([str(tmp_path), *given])
     assert (tmp_path / "curve.csv").read_text(encoding="utf-8").count("\n") == 3
     example.main([str(tmp_path), *given])  # nothing is left to do
@@ -93,6 +99,17 @@ def test_the_training_goes_on_and_another_begins_with_its_weights(example: Any, 
     assert 0 < max(float((moved[name] - weights[name]).abs().max()) for name in weights) < 0.02
     with (tmp_path / "two" / "curve.csv").open(encoding="utf-8") as file:
         assert all(np.isfinite(float(value)) for line in csv.DictReader(file) for value in line.values())
+
+
+def test_a_photograph_is_averaged_in_linear_light_and_its_curve_undone(example: Any, tmp_path: Path) -> None:
+    checks = np.indices((4, 6)).sum(axis=0) % 2 * 255
+    Image.fromarray(checks[..., None].repeat(3, -1).astype(np.uint8)).save(tmp_path / "checks.png")
+    assert (example.photograph_radiance(tmp_path / "checks.png", 2) == 0.5).all()
+    ramp = np.arange(256, dtype=np.uint8)[None, :, None].repeat(3, -1)
+    Image.fromarray(ramp).save(tmp_path / "ramp.png")
+    x = example.photograph_radiance(tmp_path / "ramp.png", 1, True)[0, 0].astype(float)
+    x = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)  # sRGB's definition
+    np.testing.assert_allclose(3 * x**2 - 2 * x**3, np.arange(256) / 255, atol=2e-3)
 
 
 def test_the_line_of_a_batch_is_the_models(example: Any) -> None:

@@ -106,7 +106,7 @@ def denoise_by(network: NoiseAwareUNet, image: Values, noise: SignalNoise) -> Va
 
 
 def calibrated_profile(folder: Path, specimen: Specimen) -> CameraProfile:
-    """Return what `eldata calibrate` makes of a camera's bias frames and flats, which are taken once."""
+    """Return a camera's profile by `eldata calibrate`, from bias frames and flats; both are made once."""
     path = folder / "profiles" / f"{specimen.design.name}.json"
     if not path.exists():
         low, high = CALIBRATED_ISOS

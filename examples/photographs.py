@@ -1,6 +1,6 @@
 """Photographs under free licences: what the network that ships learns from, and what it is judged on.
 
-    python examples/photographs.py photographs        # 100 MB, by apt-get of Debian or Ubuntu
+    python examples/photographs.py photographs        # 170 MB, by apt-get of Debian or Ubuntu
 
 They lie in packages of Debian 12 (wallpapers; photographs alone were chosen, by looking at each) and in scikit-learn,
 and are fetched, never part of eldata. Each has one use, by its name: to train, to choose when to stop, or to judge.
@@ -106,7 +106,7 @@ def fetch_photographs(folder: Path) -> None:
 
 
 def picture_path(folder: Path, name: str) -> Path:
-    """Return where a picture lies: in the folder, or in an installed scikit-learn."""
+    """Return the path of a picture, in the folder or in an installed scikit-learn; it need not exist."""
     if name in JUDGE["sklearn"]:
         found = find_spec("sklearn")
         if found is not None and found.origin is not None:

@@ -69,7 +69,7 @@ TREES: dict[str, Callable[[Manifest, Path], None]] = {
     "sidd-blocks": build_blocks_tree,
 }
 
-# Of these the frames are no whole DN, and a store holds nothing else.
+# The frames of these hold fractions of a DN, and a store takes whole DN alone.
 FRACTIONS = ("lrid", "sidd", "sidd-blocks")
 
 NAMES = tuple(published._CLASSES)  # not those of packages that happen to be installed beside this one

@@ -17,6 +17,7 @@ from typing import Any
 from eldata.base import console
 from eldata.base.files import write_problem
 from eldata.base.numbers import checked_number, counted
+from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, EldataError
 
 
@@ -59,11 +60,11 @@ def run(arguments: console.Arguments) -> int:
             if len(outputs) == 1:
                 raise
             failed = True
-            print(error)
+            print(in_line(str(error)))
             continue
-        print(f"{made.path}: noise {made.noise}")
+        print(in_line(f"{made.path}: noise {made.noise}"))
         for remark in made.remarks:
-            print(f"  {remark}")
+            print(in_line(f"  {remark}"))
     return console.PROBLEMS if failed else console.OK
 
 

@@ -70,6 +70,18 @@ def test_sets_and_predictions(run: Run, demo_tree: Path, tmp_path: Path) -> None
     assert "\\nall well.npy: is the prediction of no noisy frame" in text
 
 
+def test_photographs(run: Run, demo_tree: Path, tmp_path: Path) -> None:
+    tree = Tree(demo_tree)
+    good, cut = (tmp_path / f"{name}{STRANGE}.dng" for name in ("good", "cut"))
+    shutil.copy(next(tree.files.glob("DemoAlpha/*/*.dng")), good)
+    cut.write_bytes(good.read_bytes()[:3000])
+    code, text = run("eldata", "denoise", good, cut, "--method", "dct", "--profile", "SonyA7S2",
+                     "--profile-of-another-camera", "-o", tmp_path / "out")  # fmt: skip
+    assert code == 1
+    assert "goodx\\x1b[31m\\x9b2J" in text
+    assert "cutx\\x1b[31m\\x9b2J" in text
+
+
 def test_fields_of_files(run: Run, tmp_path: Path) -> None:
     bad = tmp_path / "bad"
     for text in (json.dumps({STRANGE: STRANGE}), json.dumps([STRANGE]), f'"{STRANGE}'):

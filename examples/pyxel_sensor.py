@@ -11,7 +11,7 @@ doi:10.1117/1.JATIS.8.4.048002. A frame goes through these of its models, in thi
 | `fixed_pattern_noise` | `fixed_pattern_noise_factor` | response of the pixels (log-normal); stays |
 | `simple_measurement` | `charge_to_volt` | electrons to volts |
 | `output_node_noise` | `std_deviation`, the specimen's seed | offsets of the pixels; stay |
-| `output_node_noise_cmos` | `readout_noise`, `readout_noise_std` | read noise, of another strength in each pixel |
+| `output_node_noise_cmos` | `readout_noise`, `readout_noise_std` | read noise; strength drawn by pixel and frame |
 | `uncorrelated_pink_noise_cmos` | `std` | 1/f noise of the readout, along the rows |
 | `alternating_column_noise_cmos` | `std` | the same, of even and of odd columns apart |
 | `simple_amplifier` | `pre_amplification` | the ISO's gain |

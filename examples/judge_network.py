@@ -7,7 +7,8 @@ The cameras are the virtual benchmark's, whose noise is not the noise model's; e
 flats of its own, and all methods are told the same profile. Targets are the light itself. `judged/scores.csv` gets a
 line per picture, camera, ISO, factor and method, and what stands there is not made again. Shown are mean PSNRs, and by
 how much each network is above BM3D with the 95 % interval of the pictures' mean (Student's t). `--sheet` draws
-pictures whose names begin so, twice as large, all methods beside each other.
+pictures whose names begin so, twice as large, all methods beside each other. With `--pyxel` the camera is one that
+Pyxel simulates (pip install pyxel-sim), and the table is of its pictures alone.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator
 
     from numpy.typing import NDArray
-    from virtual_sensor import SensorDesign
+    from virtual_sensor import Camera, SensorDesign
 
     from eldata.baselines.classical import SignalNoise
     from eldata.records import Sensor
@@ -54,7 +55,7 @@ ISOS, FACTORS, METERED_S = (800, 3200), (1, 10, 100, 200), 1.0
 CHARTS = (702, 706, 710)  # resolution charts of the demo's kind, beyond all that any network was trained on
 UNSEEN_PICTURES = ("astronaut.png", "coffee.png", "motorcycle_left.png", "camera.png")
 SIZE = (384, 576)
-DRAWN = ("BenchAlpha", 3200, 100)
+DRAWN = (3200, 100)  # ISO and factor, by the first camera
 CALIBRATED_ISOS, BIAS_FRAMES = (200, 6400), 20  # from, to
 REFERENCE = "anscombe-bm3d"
 
@@ -68,6 +69,8 @@ def main() -> None:
         "--weights", nargs="*", default=(), metavar="NAME=FILE", help="networks beside the one that ships"
     )
     parser.add_argument("--sheet", nargs="*", default=(), metavar="NAME", help="pictures to draw")
+    text = "judge by a camera of Pyxel's, the simulator of ESA and ESO, instead of the virtual benchmark's"
+    parser.add_argument("--pyxel", action="store_true", help=text)
     options = parser.parse_args()
     torch.set_num_threads(1)
     fetch_photographs(options.photographs)
@@ -80,12 +83,13 @@ def main() -> None:
     rows: list[Row] = []
     lines: list[dict[Hashable, object]] = pd.read_csv(path).to_dict("records") if path.exists() else []
     done = {(line["title"], line["method"]) for line in lines}
-    for design in (design.with_size(*SIZE) for design in SENSORS):
-        specimen = Specimen(design, np.random.default_rng([11, len(design.name), ord(design.name[-1])]))
+    specimens = make_cameras(options.pyxel)
+    for specimen in specimens:
+        design = specimen.design
         profile = calibrated_profile(options.folder, specimen)
         for kind, name, radiance in scenes(options.photographs):
             title = f"{design.name}-{name}"
-            is_drawn = design.name == DRAWN[0] and name.startswith(tuple(options.sheet))
+            is_drawn = specimen is specimens[0] and name.startswith(tuple(options.sheet))
             missing = {key: methods[key] for key in methods if is_drawn or (title, key) not in done}
             if missing:
                 made = judge_scene(design, specimen, profile, radiance, missing, title, rows if is_drawn else None)
@@ -95,7 +99,22 @@ def main() -> None:
                 scores.to_csv(file, index=False)
     if rows:
         write_contact_sheet(options.folder / "contact-sheet.png", rows)
-    print(summarise(scores).to_string(float_format="{:.2f}".format))
+    of_cameras = scores["title"].str.startswith(tuple(f"{specimen.design.name}-" for specimen in specimens))
+    print(summarise(scores[of_cameras]).to_string(float_format="{:.2f}".format))
+
+
+def make_cameras(with_pyxel: bool) -> list[Camera]:
+    """Return a specimen of each of the virtual benchmark's cameras, or of Pyxel's."""
+    designs: tuple[SensorDesign, ...] = SENSORS
+    make: Callable[[SensorDesign, np.random.Generator], Camera] = Specimen
+    if with_pyxel:
+        from pyxel_sensor import PYXEL_CMOS, PyxelSpecimen
+
+        designs, make = (PYXEL_CMOS,), PyxelSpecimen
+    return [
+        make(design.with_size(*SIZE), np.random.default_rng([11, len(design.name), ord(design.name[-1])]))
+        for design in designs
+    ]
 
 
 def denoise_by(network: NoiseAwareUNet, image: Values, noise: SignalNoise) -> Values:
@@ -105,7 +124,7 @@ def denoise_by(network: NoiseAwareUNet, image: Values, noise: SignalNoise) -> Va
         return np.asarray(network(less, torch.tensor([noise.slope]), torch.tensor([noise.offset]))[0].numpy())
 
 
-def calibrated_profile(folder: Path, specimen: Specimen) -> CameraProfile:
+def calibrated_profile(folder: Path, specimen: Camera) -> CameraProfile:
     """Return a camera's profile by `eldata calibrate`, from bias frames and flats; both are made once."""
     path = folder / "profiles" / f"{specimen.design.name}.json"
     if not path.exists():
@@ -138,7 +157,7 @@ def scenes(photographs: Path) -> Iterator[tuple[str, str, Values]]:
 
 def judge_scene(
     design: SensorDesign,
-    specimen: Specimen,
+    specimen: Camera,
     profile: CameraProfile,
     radiance: Values,
     methods: dict[str, Method],
@@ -164,7 +183,7 @@ def judge_scene(
             }
             for name, value in psnr_db.items():
                 yield {"iso": iso, "factor": factor, "method": name, "psnr_db": value}
-            if rows is not None and (design.name, iso, factor) == DRAWN:
+            if rows is not None and (iso, factor) == DRAWN:
                 pictures = {f"{title}, ISO {iso} x{factor}: the light": target}
                 pictures |= {f"{name}: {psnr_db[name]:.1f} dB": image for name, image in made.items()}
                 rows.append([(caption, draw(image, design.sensor)) for caption, image in pictures.items()])

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
-    from virtual_sensor import SensorDesign
+    from virtual_sensor import Camera, SensorDesign
 
     from eldata.manifest import Manifest
 
@@ -240,7 +240,7 @@ def take_scene(
         write_shot(folder / record.path, mosaic, design.sensor, iso, exposure_s)
 
 
-def take_calibration(folder: Path, specimen: Specimen, iso: int, bias_frames: int, seed: tuple[int, ...]) -> None:
+def take_calibration(folder: Path, specimen: Camera, iso: int, bias_frames: int, seed: tuple[int, ...]) -> None:
     """Take the bias frames and flats of an ISO and write them."""
     design = specimen.design
     y, x = (np.linspace(-1, 1, side) for side in (design.sensor.height, design.sensor.width))

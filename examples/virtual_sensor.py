@@ -19,7 +19,7 @@ It is written in plain numpy, and shares no code with :mod:`eldata.noise`, :mod:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
@@ -131,6 +131,19 @@ class SensorDesign:
     def mode(self, iso: int) -> ConversionGain:
         """Return the gain mode at an ISO."""
         return self.high if iso >= self.high_gain_iso else self.low
+
+
+class Camera(Protocol):
+    """What takes frames, as :class:`Specimen` does, whoever simulates it."""
+
+    @property
+    def design(self) -> SensorDesign:
+        """Its design."""
+
+    def frame(
+        self, photoelectrons: NDArray[np.floating] | float, exposure_s: float, iso: int, generator: np.random.Generator
+    ) -> NDArray[np.uint16]:
+        """Return one frame."""
 
 
 class Specimen:

@@ -327,7 +327,7 @@ BASELINES: Mapping[str, Baseline] = MappingProxyType(
             "BM3D of stabilised values, exact unbiased inverse (A-BM3D)", _anscombe_bm3d, needs_bm3d=True
         ),
         "network": Baseline(
-            "the network that ships, told the noise", _run_network, has_weights=True, tile=1024, overlap=256, multiple=8
+            "the network that ships, told the noise", _run_network, has_weights=True, tile=1024, overlap=272, multiple=8
         ),
     }
 )

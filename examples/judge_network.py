@@ -108,8 +108,11 @@ def make_cameras(with_pyxel: bool) -> list[Camera]:
     designs: tuple[SensorDesign, ...] = SENSORS
     make: Callable[[SensorDesign, np.random.Generator], Camera] = Specimen
     if with_pyxel:
-        from pyxel_sensor import PYXEL_CMOS, PyxelSpecimen
-
+        try:
+            from pyxel_sensor import PYXEL_CMOS, PyxelSpecimen
+        except ImportError as error:
+            text = "--pyxel needs Pyxel of ESA and ESO: pip install pyxel-sim (pyxel alone is a game engine)"
+            raise SystemExit(text) from error
         designs, make = (PYXEL_CMOS,), PyxelSpecimen
     return [
         make(design.with_size(*SIZE), np.random.default_rng([11, len(design.name), ord(design.name[-1])]))

@@ -66,8 +66,8 @@ EPOCH = 500  # steps
 SHARE = 1 / 500  # of the present weights in their running mean
 HELD_SIDE, HELD_FACTORS = 128, (1.0, 10.0, 100.0, 250.0)
 TOLD = 0.05  # standard deviation of the logarithm of what the network is told, over what is true
-# Where noise of a variance v is taken off well, what is left goes about as v to this power: 2 dB less than 47 dB has,
-# 12 less than 11 dB.
+# Of noise of variance v is left about as much as v to this power: good networks gain 3 dB where the input has 47, and
+# 12 where it has 11.
 USUAL, FLOOR = 0.75, 1e-4
 LAMBDA = (-0.24, 0.3)  # the Tukey lambda distribution has no variance from -0.5 on, and profiles stay above -0.25
 # What no line tells of, in standard deviations of the read noise, each in half of the crops: offsets of columns, of

@@ -69,7 +69,7 @@ class PyxelSpecimen:
 
     def __init__(self, design: SensorDesign, generator: np.random.Generator) -> None:
         self.design = design
-        # Pyxel draws its patterns anew for each frame: the same seeds make the same pixels.
+        # Pyxel draws the pixels for every frame; with the same seeds they are the same pixels.
         self._response_seed, self._offset_seed = generator.integers(2**31, size=2).tolist()
 
     def frame(

@@ -66,8 +66,8 @@ EPOCH = 500  # steps
 SHARE = 1 / 500  # of the present weights in their running mean
 HELD_SIDE, HELD_FACTORS = 128, (1.0, 10.0, 100.0, 250.0)
 TOLD = 0.05  # standard deviation of the logarithm of what the network is told, over what is true
-# Of noise of variance v is left about as much as v to this power: good networks gain 3 dB where the input has 47, and
-# 12 where it has 11.
+# What is left of noise of variance v goes about as v to this power: the network that ships gains 4 dB where the input
+# has 47, and 12 where it has 11.
 USUAL, FLOOR = 0.75, 1e-4
 LAMBDA = (-0.24, 0.3)  # the Tukey lambda distribution has no variance from -0.5 on, and profiles stay above -0.25
 # What no line tells of, in standard deviations of the read noise, each in half of the crops: offsets of columns, of
@@ -181,7 +181,7 @@ def root_error(network: nn.Module, batch: Mapping[str, Any]) -> torch.Tensor:
     clean = batch["target"]
     # It counts as noise: by what is told alone, bright crops would outweigh all others, and texture would be taken off.
     response = RESPONSE * (torch.rand(len(slope), device=slope.device) * 4 - 3).clamp(min=0)
-    noisy = batch["input"] + untold(batch["input"], offset.sqrt())
+    noisy = batch["input"] + draw_noise_in_the_dark(batch["input"], offset.sqrt())
     noisy = noisy + response[:, None, None, None] * clean * torch.randn_like(clean)
     made = network(noisy, slope * told[0], offset * told[1] ** 2)
     noise = offset + slope * clean.mean(dim=(1, 2, 3)) + response**2 * (clean**2).mean(dim=(1, 2, 3))
@@ -190,8 +190,16 @@ def root_error(network: nn.Module, batch: Mapping[str, Any]) -> torch.Tensor:
     return loss
 
 
-def untold(noisy: torch.Tensor, sigma: torch.Tensor) -> torch.Tensor:
-    """Return what a sensor adds in the dark that no line tells of, for read noise of ``sigma`` (N,)."""
+def draw_noise_in_the_dark(noisy: torch.Tensor, sigma: torch.Tensor) -> torch.Tensor:
+    """Draw what slope and offset do not describe: columns, rows, jumping pixels, colours, for read noise ``sigma``.
+
+    Parameters
+    ----------
+    noisy
+        Images to draw it for, (N, 4, h, w).
+    sigma
+        Standard deviation of each one's read noise, (N,).
+    """
     count, _, height, width = noisy.shape
     each = sigma[:, None, None, None] * (torch.rand(4, count, 1, 1, 1, device=noisy.device) * 2 - 1).clamp(min=0)
     # In any phase R and G2 lie in the same columns of the mosaic, B and G1 in those between; R and G1 share rows.

@@ -196,9 +196,9 @@ class NoiseAwareUNet(nn.Module):
     read noise alone, so that nothing of it is cut off. A U-Net of residual blocks (as K. Zhang et al., TPAMI 2021, have
     it) sees at half the size 2 x 2 pixels of the four colours as 16 orthonormal sums and differences, beside them what
     thresholding the DCT takes off (:func:`threshold`), and two numbers of the noise. It returns what the transformed
-    values are off by, and for each of the 16 how much of the DCT's estimate stands instead of its own: with little
-    noise, sharp edges and patterns are the DCT's. The inverse is the algebraic one, which gives an untouched input back
-    exactly. What an unbiased inverse would add is learnt: the loss is in linear light, behind the inverse.
+    values are off by, and for each of the 16 how much of the DCT's estimate stands instead of its own: the less noise,
+    the more. The inverse is the algebraic one, which gives an untouched input back exactly. What an unbiased inverse
+    would add is learnt: the loss is in linear light, behind the inverse.
 
     Parameters
     ----------

@@ -66,19 +66,24 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="for scores, calibration and pictures")
     parser.add_argument("--photographs", type=Path, default="photographs", help="(default: %(default)s)")
     parser.add_argument(
-        "--weights", nargs="*", default=(), metavar="NAME=FILE", help="networks beside the one that ships"
+        "--weights",
+        type=name_file,
+        nargs="*",
+        default=(),
+        metavar="NAME=FILE",
+        help="networks beside the one that ships",
     )
     parser.add_argument("--sheet", nargs="*", default=(), metavar="NAME", help="pictures to draw")
     text = "judge by a camera of Pyxel's, the simulator of ESA and ESO, instead of the virtual benchmark's"
     parser.add_argument("--pyxel", action="store_true", help=text)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    fetch_photographs(options.photographs)
     methods: dict[str, Method] = {name: BASELINES[name].denoise for name in ("input", "dct", REFERENCE, "network")}
-    for name, file in (named.split("=", 1) for named in options.weights):
+    for name, file in options.weights:
         network = NoiseAwareUNet()
         network.load_state_dict(load_file(file))
         methods[name] = partial(denoise_by, network)
+    fetch_photographs(options.photographs)
     path = options.folder / "scores.csv"
     rows: list[Row] = []
     lines: list[dict[Hashable, object]] = pd.read_csv(path).to_dict("records") if path.exists() else []
@@ -101,6 +106,12 @@ def main() -> None:
         write_contact_sheet(options.folder / "contact-sheet.png", rows)
     of_cameras = scores["title"].str.startswith(tuple(f"{specimen.design.name}-" for specimen in specimens))
     print(summarise(scores[of_cameras]).to_string(float_format="{:.2f}".format))
+
+
+def name_file(text: str) -> tuple[str, str]:
+    """Split NAME=FILE."""
+    name, file = text.split("=", 1)
+    return name, file
 
 
 def make_cameras(with_pyxel: bool) -> list[Camera]:

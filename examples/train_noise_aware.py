@@ -98,13 +98,13 @@ def main(argv: Sequence[str] | None = None) -> None:
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
     torch.backends.cudnn.benchmark = True  # all crops have one size
     seed, workers = options.seed, Workers(max(options.workers, 1))
+    begun = NoiseAwareUNet(seed=seed)
+    if options.begin is not None:
+        begun.load_state_dict(load_file(options.begin))
     fetch_photographs(options.photographs)
     learnt, kept = (tuple(picture_path(options.photographs, name) for name in names) for names in (TRAIN, STOP))
     clean = clean_frames(options.run / "clean.npy", FRAMES, learnt, seed, workers)
     held = validation(clean_frames(options.run / "validation.npy", HELD, kept, seed + 1, workers), seed + 1)
-    begun = NoiseAwareUNet(seed=seed)
-    if options.begin is not None:
-        begun.load_state_dict(load_file(options.begin))
     network = Averaged(begun)
     pairs = noisy_pairs(clean, options.batch, options.crop, seed)
     training = Training(
